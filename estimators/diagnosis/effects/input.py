@@ -233,9 +233,9 @@ def any_linear(u: Array, rows: NDArray[np.bool_]) -> Array:
     return np.asarray(np.linalg.qr(np.column_stack((known, np.ones(len(u))))[rows])[0])
 
 
-def told_beside(x: Array, Z: Array, rest: Array, rows: NDArray[np.bool_]) -> float:
-    """The squares that a signal (N,) through any linear part explains, on some rows, of a rest that is free of directions Z."""
-    D = banked(x[:, None])[rows, 0]
+def told_beside(x: Array, Z: Array, rest: Array, rows: NDArray[np.bool_], *bare: Array) -> float:
+    """The squares that signals (N, ...) through any linear part, and `bare` ones, explain on some rows of a rest free of directions Z."""
+    D = np.column_stack((banked(x.reshape(len(x), -1)).reshape(len(x), -1), *bare))[rows]
     D = np.linalg.qr(D - Z @ (Z.T @ D))[0]
     return float(np.sum((D.T @ rest) ** 2))
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before, numbered
-from estimators.diagnosis.effects.input import after
+from estimators.diagnosis.effects.input import after, any_linear, told_beside
 from estimators.residual.algebra import delayed
 
 Array = NDArray[Any]
@@ -222,7 +222,6 @@ def _since_shape(size: int, order: int) -> list[tuple[str, str]]:
 def _switches(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     """The time from which an input, or all of them, beside what it did before, explains most, where any mixture of lags stands for both
     ways; then a linear fit to the inputs and to these from there on, with poles in common, and last each way with its own."""
-    from estimators.diagnosis.effects.input import any_linear, banked
     from estimators.diagnosis.effects.profiled import firm
     from estimators.diagnosis.model.fitting import fit
 
@@ -236,8 +235,7 @@ def _switches(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]
 
         def told(time: float, x: Array = x) -> float:
             gate = after(channel.clock, time)[:, None]
-            D = np.column_stack((banked(np.column_stack((x * gate, gate))).reshape(n, -1), gate))[keep]
-            return float(np.sum((np.linalg.qr(D - Z @ (Z.T @ D))[0].T @ r) ** 2))
+            return told_beside(np.column_stack((x * gate, gate)), Z, r, keep, gate)
 
         time = max(channel.clock.k[0] + np.linspace(0.06, 0.94, TIMES) * n, key=told)
         for share in NEARER:
