@@ -37,8 +37,10 @@ def cell(run: Callable[[Array], Array], p: Array, at: int, scale: float) -> tupl
         for _ in range(NARROWED):
             middle = 0.5 * (inside + outside)
             inside, outside = (middle, outside) if same(middle) else (inside, middle)
-        ends.append(float(p[at]) + inside)
-    return ends[1], ends[0]
+        ends.append(inside)
+    high, low = ends
+    # farther moves are tried at doubled distances only: between them the run may have been another, as of what turns about
+    return (float(p[at]) + low, float(p[at]) + high) if same(0.5 * (low + high)) else None
 
 
 def centred(run: Callable[[Array], Array], structure: Structure, p: Array, scales: Array) -> Array:

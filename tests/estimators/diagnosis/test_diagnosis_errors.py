@@ -294,6 +294,10 @@ def test_an_edge_stands_in_the_middle_of_its_cell_which_its_interval_holds():
     assert (low, high) == pytest.approx((below, above), abs=1e-3 * (above - below) + 1e-4)
     assert cell(run, p, 1, 1.0) is None  # any move changes the run
     assert cell(lambda q: u, p, 2, 1.0) is None  # no move does
+    # the same wherever it is tried, and another in the middle: a lag had been moved to where the run was infinite
+    off = lambda q: (q[2] - 0.31) / 1e-6
+    holed = lambda q: u if -1.5 < off(q) < 6.0 and not 2.1 < off(q) < 3.9 else u + np.inf
+    assert cell(holed, p, 2, 1e3) is None
 
 
 def test_thresholds_of_a_second_stage_stand_within_their_intervals():
