@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline.baseline import Baseline, Options, OutputModel
 from estimators.diagnosis.baseline.blocks import Block, Blocks, blocks_of
-from estimators.diagnosis.baseline.choice import SLOW, Trial, batch_squares, simplest, tried
+from estimators.diagnosis.baseline.choice import SLOW, Trial, batch_squares, cheapest, simplest, tried
 from estimators.diagnosis.baseline.disturbances import foretold, noise_model, recurring, tones, waves
 from estimators.diagnosis.baseline.linear_model import Prior, rest_level, unmoved
 from estimators.diagnosis.baseline.search import LONG as TAPS
-from estimators.diagnosis.baseline.search import ORDERS, REFINED, Search
+from estimators.diagnosis.baseline.search import LOW, ORDERS, REFINED, Search
 from estimators.residual.algebra import delayed
 from oed.data import Record
 from oed.errors import InputError
@@ -23,8 +23,6 @@ Array = NDArray[Any]
 QUIET = 1e-4
 """Noise of a window's samples, of the output's variance, while nothing is known of it: a state that is too free costs less
 than one that is held."""
-LOW, MANY = 3, 10
-"""Lags of the output in a model that cannot take a tone or a trend for its own dynamics and fit the rest; and its parameters."""
 LONG = 8000
 """Samples from which on the model is chosen on pieces of every block, and only fitted to all of them."""
 FURTHER = 0.02
@@ -129,7 +127,7 @@ def _output(
     if chosen.slow or chosen.rmse > LITTLE * np.sqrt(prior.covariance[0]):
         # over the whole records, where the screen sees pieces of them
         free = replace(screen, limit=GROWTH ** (1.0 / max(blocks.lengths)))
-        chosen = _held_by_a_loop(free, chosen)
+        chosen = _held_by_a_loop(free, known, chosen)
         if chosen.candidate.models[-1].radius > 1.0:
             search = replace(search, limit=free.limit)
     if places is not blocks:
@@ -171,11 +169,12 @@ def _after_start(search: Search, known: list[Trial]) -> tuple[Search, list[Trial
     ]
 
 
-def _held_by_a_loop(free: Search, chosen: Trial) -> Trial:
+def _held_by_a_loop(free: Search, known: list[Trial], chosen: Trial) -> Trial:
     """The best model with an unstable pole, as a plant in a loop may have, where that surely foretells more than a stable one."""
-    known = free.arx()
-    grown = [t for t in (*known, *free.refined(known)) if t.candidate.models[-1].radius > 1.0]
-    return best if grown and (best := simplest(grown)).rmse < SURELY * chosen.rmse else chosen
+    if not (grown := free.arx()):
+        return chosen
+    best = simplest(grown + free.refined(known + grown))
+    return best if best.rmse < SURELY * chosen.rmse else chosen
 
 
 def _screened(search: Search) -> tuple[Search, list[Trial], list[float]]:
@@ -195,12 +194,11 @@ def _screened(search: Search) -> tuple[Search, list[Trial], list[float]]:
     if len(search.blocks.blocks) == len(search.records):
         return now, known, lines  # a block is all of its record: nothing beside it shows a trend
     # A slow pole follows a trend as it follows the input: a model that has none foretells unused blocks.
-    straight = replace(search, records=_without_trends(search, []))
-    straight = replace(search, records=_without_trends(search, straight.arx()))
-    level = straight.arx()
     # What needs many coefficients beside a trend has a pole that makes it.
-    few = [t for t in level if t.candidate.form.na <= LOW and t.candidate.size <= MANY and not t.slow]
-    return (straight, level, []) if _least(few) * SLOW**2 < _least(known) else (now, known, lines)
+    straight = replace(search, records=_without_trends(search, []))
+    straight = replace(search, records=_without_trends(search, straight.arx(few=True)))
+    level = [t for t in straight.arx(few=True) if not t.slow]
+    return (straight, straight.arx(), []) if _least(level) * SLOW**2 < _least(known) else (now, known, lines)
 
 
 def _resonates(search: Search, known: list[Trial], without: Search, quiet: list[Trial]) -> bool:
@@ -236,7 +234,7 @@ def _without_trends(search: Search, known: Sequence[Trial]) -> list[Record]:
 
 
 def _least(trials: Sequence[Trial]) -> float:
-    return min((float(t.charged.mean()) for t in trials), default=np.inf)
+    return float(cheapest(trials).charged.mean()) if trials else np.inf
 
 
 def _without_tones(search: Search, trial: Trial) -> tuple[list[float], Sequence[Record]]:

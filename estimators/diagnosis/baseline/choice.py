@@ -1,8 +1,8 @@
 """Candidates compared by the error of their free run on blocks that they did not see."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -50,6 +50,11 @@ class Candidate:
     noise: float = 0.0  # variance of its error where that is known: so far the window's samples may be off
 
 
+def undoubted(_: "Trial") -> tuple[float, float]:
+    """No variance that the records leave open."""
+    return 0.0, 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class Trial:
     """A candidate with its free runs on unused blocks, per record (N,), and the mean squares of their batches."""
@@ -59,27 +64,27 @@ class Trial:
     squares: Array
     slow: bool
     endless: bool  # whether a pole outlives the record
-    # variance of the model's answer to a step, as far as it depends on the block left out
-    spread: float = 0.0
-    # the same of its runs on the inputs on which it is wanted, above that of its runs on the records; and of a state that a slow
-    # pole keeps, as far as a window of samples leaves it open
-    beyond: float = 0.0
+    # what `tried` works out only for a trial that may be chosen, the variance of the model's answer to a step, as far as it
+    # depends on the block left out; and that of its runs on the inputs on which it is wanted, above that of its runs on the records, and
+    # of a state that a slow pole keeps, as far as a window of samples leaves it open
+    doubts: "Callable[[Trial], tuple[float, float]]" = undoubted
 
-    @property
+    @cached_property
     def rmse(self) -> float:
         """Root mean square error on unused blocks; infinite where one of the fits has no bounded free run."""
         return float(np.sqrt(np.mean(self.squares)))
 
-    @property
+    @cached_property
+    def shown(self) -> Array:
+        """The mean squares with the charge for a pole slower than a block."""
+        return self.squares * SLOW ** (2 * (self.slow + self.endless))
+
+    @cached_property
     def charged(self) -> Array:
-        """The mean squares with the charges for a pole slower than a block and for what the records do not determine."""
-        unsure = min(self.spread / max(float(self.squares.mean()), 1e-300), 1.0)
-        shown = (
-            self.squares
-            * SLOW ** (2 * (self.slow + self.endless))
-            * (1.0 + ((1.0 + WORSE) ** 2 - 1.0) * unsure)
-        )
-        return shown + self.beyond
+        """What is shown, with the charges for what the records do not determine."""
+        spread, beyond = self.doubts(self)
+        unsure = min(spread / max(float(self.squares.mean()), 1e-300), 1.0)
+        return self.shown * (1.0 + ((1.0 + WORSE) ** 2 - 1.0) * unsure) + beyond
 
 
 def tried(
@@ -102,14 +107,18 @@ def tried(
         unused[block.record][block.rows] = run[block.rows]
     squares = batch_squares(unused, records, output, blocks)
     slow, endless = (kind(candidate.models[-1].radius) for kind in (blocks.slow, blocks.endless))
-    trial = Trial(candidate, unused, squares, slow, endless, undetermined(candidate.models[:-1], records))
-    return replace(trial, beyond=_left_open(trial, records, blocks, prior, asked)) if asked else trial
+    return Trial(
+        candidate, unused, squares, slow, endless,
+        lambda trial: (undetermined(candidate.models[:-1], records), _left_open(trial, records, blocks, prior, asked)),
+    )  # fmt: skip
 
 
 def _left_open(
     trial: Trial, records: Sequence[Record], blocks: Blocks, prior: Prior, asked: Sequence[Array]
 ) -> float:
     """Variance of the runs on the inputs asked for that the records do not show; none below the error on unused blocks."""
+    if not asked:
+        return 0.0
     *folds, last = trial.candidate.models
     error, seen, state = float(trial.squares.mean()), [r.u for r in records], 0.0
     if trial.slow and np.isfinite(error):
@@ -219,16 +228,28 @@ def _edges(blocks: Blocks) -> tuple[tuple[int, ...], ...]:
     return tuple((*(b.start for b in of), of[-1].stop) for of in batches)
 
 
+def cheapest(trials: Iterable[Trial]) -> Trial:
+    """The trial of the least charged error; what each shows bounds it from below, so that few charges are worked out."""
+    first, *others = sorted(trials, key=lambda t: float(t.shown.mean()))
+    for t in others:
+        if not t.shown.mean() < first.charged.mean():
+            break
+        first = t if t.charged.mean() < first.charged.mean() else first
+    return first
+
+
 def simplest(trials: Iterable[Trial]) -> Trial:
     """The trial with fewest parameters whose error is the least within one standard error of their difference."""
     known = [t for t in trials if np.isfinite(t.rmse)]
-    best = min(known, key=lambda t: float(t.charged.mean()))
+    best = cheapest(known)
 
     def as_good(t: Trial) -> bool:
-        d = t.charged - best.charged
-        error = d.std() / np.sqrt(max(len(d) - 1, 1))
         halvings = max(1.0, float(np.log2(best.candidate.size / t.candidate.size)))
         few, most = (((1.0 + x) ** 2 - 1.0) * best.charged.mean() for x in (NOTHING, WORSE * halvings))
+        if (t.shown - best.charged).mean() > most:
+            return False
+        d = t.charged - best.charged
+        error = d.std() / np.sqrt(max(len(d) - 1, 1))
         return d.mean() <= min(max(error, few), most)
 
     return min((t for t in known if as_good(t)), key=lambda t: (t.candidate.size, t.rmse))

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -79,15 +80,13 @@ class OutputError:
     """Fits of one form to one output of some records.
 
     `records` the data, inputs of this output only; `output` which output; `form` orders: of A, of B, delays,
-    offset; `prior` of the outputs before each record; `whitener` D: the loss is the sum of squares of D times
-    the simulation error (1 for plain output error); `limit` radius below which the poles stay.
+    offset; `prior` of the outputs before each record; `limit` radius below which the poles stay.
     """
 
     records: Sequence[Record]
     output: int
     form: Arx
     prior: Prior
-    whitener: Array
     limit: float = 1.0
 
     def fit(
@@ -120,38 +119,30 @@ class OutputError:
         """The model of these parameters."""
         return self.form.model(theta)
 
+    @cached_property
+    def _data(self) -> list[tuple[Array, Array]]:
+        """Output and lagged inputs of each record."""
+        rest = self.prior.rest
+        return [(r.y[:, self.output].copy(), lagged_inputs(r, self.form, rest)) for r in self.records]
+
     def local(self, theta: Array, rows: Sequence[NDArray[np.bool_]]) -> tuple[float, Array, Array]:
         """Mean square, half its negative gradient and the Gauss-Newton matrix."""
-        f, model, n = self.form, self.model(theta), self.form.na
+        from estimators.diagnosis.baseline.linear_kernels import sensed
+
+        f, n, states = self.form, self.form.na, not self.prior.rest
+        later = np.tile(np.arange(f.nb) > 0, len(f.delay))
+        later = np.append(later, False) if f.offset else later
         gram = np.zeros((len(theta) + 1, len(theta) + 1))
         count = 0
-        for k, (record, used) in enumerate(zip(self.records, rows, strict=True)):
+        for k, ((y, X), used) in enumerate(zip(self._data, rows, strict=True)):
             at = f.size + k * n
-            past = np.zeros(n) if self.prior.rest else theta[at : at + n]
-            X = lagged_inputs(record, f, self.prior.rest)
-            run = model.run(X @ theta[n : f.size], past)
-            before = np.concatenate((past[::-1], run))
-            lags = (
-                np.stack([-before[n - i : len(before) - i] for i in range(1, n + 1)], axis=1)
-                if n
-                else X[:, :0]
-            )
-            J = np.asarray(lfilter([1.0], model.den, np.concatenate((lags, X), axis=1), axis=0))
-            e = record.y[:, self.output] - run
-            parts = [J, e[:, None]]
-            if not self.prior.rest and n:
-                parts.insert(1, model.free(len(run)))
-            Z = np.concatenate(parts, axis=1)
-            keep = used & np.isfinite(e)
-            if len(self.whitener) > 1:
-                Z = np.asarray(lfilter(self.whitener, [1.0], np.nan_to_num(Z), axis=0))
-                keep &= np.convolve(~keep, np.ones(len(self.whitener)))[: len(keep)] < 0.5
-            Z = Z[keep]
-            count += len(Z)
-            where = np.concatenate(
-                (np.arange(f.size), np.arange(at, at + Z.shape[1] - 1 - f.size), [len(theta)])
-            )
-            gram[np.ix_(where, where)] += Z.T @ Z  # pyright: ignore[reportCallIssue]
+            past = theta[at : at + n] if states else np.zeros(n)
+            Z = sensed(y, X, later, theta[n : f.size], theta[:n], past, states)
+            keep = used & np.isfinite(Z[-1])
+            Z = Z if keep.all() else Z[:, keep]
+            count += Z.shape[1]
+            where = np.concatenate((np.arange(f.size), np.arange(at, at + len(Z) - 1 - f.size), [len(theta)]))
+            gram[np.ix_(where, where)] += Z @ Z.T  # pyright: ignore[reportCallIssue]
         loss, gradient, hessian = gram[-1, -1], gram[:-1, -1].copy(), gram[:-1, :-1]
         if n and not self.prior.rest:  # the outputs before the record, as the prior has them
             weight = max(loss, 1e-300) / max(count, 1) * np.linalg.pinv(toeplitz(self.prior.covariance[:n]))

@@ -5,7 +5,7 @@ of them. A fit without a block takes the factors of the others: no candidate tou
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -74,10 +74,7 @@ class Lagged:
 
     def fit(self, form: Arx, held_out: int = -1) -> LinearModel:
         """The candidate by least squares, on all blocks or without one of them."""
-        columns, R = self.columns(form), self.factors[held_out]
-        # relative to the largest singular value: what the data do not tell apart stays at its least size
-        theta = least_squares(R[:, columns], R[:, -1], 1e-10) * self.scale[-1] / self.scale[columns]
-        return form.model(np.concatenate((-theta[: form.na], theta[form.na :])))
+        return _solved(form, self.factors[held_out], self.columns(form), self.scale)
 
     def one_step(self, form: Arx) -> float:
         """Root mean square of the one-step error of a fit to all blocks, in units of the output's column."""
@@ -86,13 +83,32 @@ class Lagged:
         return float(np.linalg.norm(rest) * self.scale[-1])
 
 
-def lagged(records: Sequence[Record], output: int, blocks: Blocks, widest: Arx, rest: bool) -> Lagged:
-    """Factors of the regressors of the widest form (with its offset) for one output, rows with missing samples left out."""
+def _solved(form: Arx, R: Array, columns: Any, scale: Array) -> LinearModel:
+    # relative to the largest singular value: what the data do not tell apart stays at its least size
+    theta = least_squares(R[:, columns], R[:, -1], 1e-10) * scale[-1] / scale[columns]
+    return form.model(np.concatenate((-theta[: form.na], theta[form.na :])))
+
+
+def fitted_to_all(records: Sequence[Record], output: int, form: Arx, rest: bool) -> LinearModel:
+    """The candidate by least squares, on all samples that are there."""
+    tables, scale = _scaled(records, output, replace(form, offset=True), rest)
+    rows = np.concatenate(tables)
+    columns = np.delete(np.arange(rows.shape[1] - 1), [] if form.offset else [rows.shape[1] - 2])
+    return _solved(form, _factor(rows[np.isfinite(rows).all(axis=1)]), columns, scale)
+
+
+def _scaled(records: Sequence[Record], output: int, widest: Arx, rest: bool) -> tuple[list[Array], Array]:
+    """Each record's regressors of a form and its output, in units of the columns' sizes, and these."""
     tables = [_table(record, output, widest, rest) for record in records]
     scale = np.sqrt(np.mean(np.concatenate(tables) ** 2, axis=0, where=np.isfinite(np.concatenate(tables))))
     scale[scale == 0.0] = 1.0
-    tables = [table / scale for table in tables]
-    whole = [np.isfinite(table).all(axis=1) for table in tables]
+    return [table / scale for table in tables], scale
+
+
+def lagged(records: Sequence[Record], output: int, blocks: Blocks, widest: Arx, rest: bool) -> Lagged:
+    """Factors of the regressors of the widest form (with its offset) for one output, rows with missing samples left out."""
+    tables, scale = _scaled(records, output, widest, rest)
+    whole = [np.asarray(np.isfinite(table).all(axis=1)) for table in tables]
     pieces = {  # the rows of a block that its neighbours' guards leave, and those at its two ends
         (b, part): _factor(tables[block.record][rows][whole[block.record][rows]])
         for b, block in enumerate(blocks.blocks)

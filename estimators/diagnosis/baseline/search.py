@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline.blocks import Blocks
-from estimators.diagnosis.baseline.choice import NOTHING, Candidate, Trial
+from estimators.diagnosis.baseline.choice import NOTHING, Candidate, Trial, cheapest
 from estimators.diagnosis.baseline.choice import tried as judged
 from estimators.diagnosis.baseline.disturbances import noise_model
 from estimators.diagnosis.baseline.individual import Individual
@@ -22,13 +22,15 @@ from estimators.diagnosis.baseline.output_error import (
     descended,
     realised,
 )
-from estimators.diagnosis.baseline.regression import Arx, Lagged, lagged
+from estimators.diagnosis.baseline.regression import Arx, Lagged, fitted_to_all, lagged
 from oed.data import Record
 
 Array = NDArray[Any]
 
 ORDERS = (0, 1, 2, 3, 4, 5, 6, 8, 10)
 """Orders of ARX; ten lags are what every answer is compared with."""
+LOW, MANY = 3, 10
+"""Lags of the output in a model that cannot take a tone or a trend for its own dynamics and fit the rest; and its parameters."""
 LONG = 20
 """Coefficients of a long numerator: enough for what few poles leave, few enough for a record of some hundred samples."""
 DELAYS = (0, 1, 2, 3, 5, 8)
@@ -96,7 +98,7 @@ class Search:
     offset: bool
     asked: tuple[Array, ...] = ()  # (M, inputs) on which the model is wanted
     moving: bool = False  # whether the records are known to begin away from rest
-    limit: float = 1.0  # radius up to which a pole may lie
+    limit: float = 1.0  # radius up to which a pole may lie; beyond 1 a model needs one outside the circle
     patient: bool = False  # whether descents begin from a long ARX too, and go on for long
     later: bool = False  # whether no input acts in its own sample
     # long ARX that were asked before: of these records, so that a search of others begins without
@@ -112,24 +114,24 @@ class Search:
         """Number of inputs."""
         return self.records[0].n_inputs
 
-    def arx(self) -> list[Trial]:
-        """Stable ARX over orders, numerators and delays: short ones, and those where the impulse responses begin."""
-        found = self._grid((0,) * self.inputs, DELAYS[self.later :])
+    def arx(self, *, few: bool = False) -> list[Trial]:
+        """Stable ARX over orders, numerators and delays: short ones, and those where the impulse responses begin; of `few` parameters."""
+        found = self._grid((0,) * self.inputs, DELAYS[self.later :], few)
         first, runs = (0,) * self.inputs, [np.zeros(len(r)) for r in self.records]
         for _ in range(2):  # again in what is left: an input that answers strongly hides the onset of another
             seen = onsets(self.records, self.output, runs)
             late = tuple(
                 max(0, d - EARLY) if d > max(DELAYS) else f for d, f in zip(seen, first, strict=True)
             )
-            if late == first or not (found := found + self._grid(late, range(2 * EARLY))):
+            if late == first or not (found := found + self._grid(late, range(2 * EARLY), few)):
                 break
-            first, best = late, min(found, key=lambda t: float(t.charged.mean())).candidate.models[-1]
+            first, best = late, cheapest(found).candidate.models[-1]
             runs = [
                 best.free_run(self.prior, r.u, r.y[:, self.output], self.blocks.window) for r in self.records
             ]
         return found
 
-    def _grid(self, first: tuple[int, ...], later: Sequence[int]) -> list[Trial]:
+    def _grid(self, first: tuple[int, ...], later: Sequence[int], few: bool) -> list[Trial]:
         """ARX whose inputs are late by `first` and one of `later` more."""
         regressors = self._lagged(Arx(max(ORDERS), max(later) + LONG + 1, first, True))
         forms = [
@@ -138,6 +140,7 @@ class Search:
             for na in ORDERS
             for nb in sorted({max(1, na - 1), max(1, na), na + 1, LONG})
         ]
+        forms = [form for form in forms if not few or (form.na <= LOW and form.size <= MANY)]
         found = [self.tried(self._arx(regressors, form)) for form in forms]
         return [t for t in found if t is not None]
 
@@ -147,7 +150,7 @@ class Search:
         if chosen.kind in ("ARX", "FIR"):
             candidate = self._arx(self._lagged(replace(form, offset=True)), form)
         else:
-            problem = OutputError(self.records, self.output, form, self.prior, np.ones(1), self.limit)
+            problem = OutputError(self.records, self.output, form, self.prior, self.limit)
             rows = [np.ones(n, dtype=bool) for n in self.blocks.lengths]
             candidate = self._oe(problem, problem.fit(chosen.models[-1], rows, STEPS[1])[0], chosen.kind)
         trial = self.tried(candidate)
@@ -162,19 +165,17 @@ class Search:
 
     def _least(self, form: Arx) -> LinearModel:
         """ARX of a form, fitted to all blocks."""
-        return self._lagged(replace(form, offset=True)).fit(form, -1)
+        return fitted_to_all(self.records, self.output, form, self.prior.rest)
 
     def _arx(self, regressors: Lagged, form: Arx) -> Candidate:
         models = [regressors.fit(form, b) for b in [*range(len(self.blocks.blocks)), -1]]
         return Candidate("ARX" if form.na else "FIR", _words(form), form.size, models, form)
 
     def tried(self, candidate: Candidate | None) -> Trial | None:
-        """A model's runs on unused blocks; None where they are not bounded."""
-        return (
-            None
-            if candidate is None
-            else judged(candidate, self.records, self.output, self.blocks, self.prior, self.asked, self.limit)
-        )
+        """A model's runs on unused blocks; None where they are not bounded, or it is not of the kind looked for."""
+        if candidate is None or candidate.models[-1].radius <= 1.0 < self.limit:
+            return None
+        return judged(candidate, self.records, self.output, self.blocks, self.prior, self.asked, self.limit)
 
     def refined(self, known: Sequence[Trial]) -> list[Trial]:
         """Output-error models of every order, started from reductions of the best models known and from ARX."""
@@ -256,7 +257,7 @@ class Search:
         rows = [np.ones(n, dtype=bool) for n in self.blocks.lengths]
         starts = [realised(best[0].candidate.models[-1], form, REALISED)]
         starts += [t.candidate.models[-1] for t in best if t.candidate.form.na == form.na][:1]
-        problem = OutputError(self.records, self.output, form, self.prior, np.ones(1), self.limit)
+        problem = OutputError(self.records, self.output, form, self.prior, self.limit)
         ends = [
             problem.fit(m, rows, STEPS[0], self.ends)
             if m is not None and m.radius < self.limit
@@ -291,7 +292,7 @@ class Search:
         """Output error of one form, from least squares, their iteration and reductions of models near by; `noise` is its mean square."""
         rows = [np.ones(n, dtype=bool) for n in self.blocks.lengths]
         starts = [self._least(form), self._prefiltered(form), *(realised(m, form, REALISED) for m in near)]
-        problem = OutputError(self.records, self.output, form, self.prior, np.ones(1), self.limit)
+        problem = OutputError(self.records, self.output, form, self.prior, self.limit)
         ends = [problem.fit(m, rows, LONGER) for m in starts if m is not None and m.radius < self.limit]
         if not ends:
             return None

@@ -6,13 +6,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from estimators.diagnosis.effects import CATALOGUE, Effect, Nature, Slot
+from estimators.diagnosis.effects.profiled import gained
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.linear import layout_starts
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.record.measurement import switched
 from estimators.diagnosis.search.starts import Start, fitted, renewed, scored
+from estimators.residual.algebra import least_squares
 
 Array = NDArray[Any]
 
@@ -29,6 +32,9 @@ LAGGED = 4  # effects at the input that are tried behind a lag
 RENEWALS = 3  # rounds of fresh poles for the best effect at the input
 QUICK = 5  # Gauss-Newton steps by which starts inside a plant are told apart
 FORMS = 2  # layouts that are tried with several inputs, which cost a column of parameters each; the inside is looked at first
+PLAIN, LATER, CHANCE = 2, (0, 1, 2, 3, 5, 8, 13), 1e-3
+# parameters of an effect that, if it leaves nothing, is no fit of many; lags in samples at which its signals are asked what it left, and the
+# level from which on they tell something
 HOPELESS = (
     -30.0
 )  # gain after those steps below which a start is given up: a layout may fit worse than the linear model
@@ -84,15 +90,27 @@ def augmented(
     `best` starts per effect and `iterations` Gauss-Newton steps per start; only the `top` effects whose scores promise
     most, 0 for all. Where a gain is `needed`, only effects whose scores promise a part of it, and none without a score.
     """
-    s, wanted = base.structure, _wanted(menu, base.structure)
+    wanted = _wanted(menu, base.structure)
+    fits = list(
+        _scanned(channel, base, [e for e in wanted if e.search is None], best, iterations, top, needed)
+    )
+    yield from fits
+    if needed <= 0.0 and not (fits and not base.structure.effects and _explained(channel, base, fits)):
+        for e in wanted:
+            yield from _own(channel, base, e, menu)
+
+
+def _scanned(
+    channel: Channel, base: Fit, wanted: list[Effect], best: int, iterations: int, top: int, needed: float
+) -> Iterator[Fit]:
+    """Fits with each effect whose starts come from scores."""
+    s = base.structure
     tasks: list[_Task] = []
     for e in wanted:
-        if e.search is not None:
-            yield from _own(channel, base, e, menu) if needed <= 0.0 else ()
-        elif e.slot is not Slot.PLANT:
+        if e.slot is not Slot.PLANT:
             for j in s.inputs if e.slot is Slot.INPUT else s.inputs[:1]:
                 tasks += _scan(channel, base, base, Part(e, j), best)
-    plant = [e for e in wanted if e.slot is Slot.PLANT and e.search is None]
+    plant = [e for e in wanted if e.slot is Slot.PLANT]
     several = len(s.inputs) > 1
     if several:  # how the other inputs enter would change with the rates
         plant = [e for e in plant if e.change is None and not s.effects]
@@ -123,6 +141,23 @@ def augmented(
     yield from _refined_fits(
         channel, base, [e for e in plant if e.refines], simple, layouts, most, iterations
     )
+
+
+def _explained(channel: Channel, base: Fit, fits: list[Fit]) -> bool:
+    """Whether an effect of few parameters leaves white noise of which its signals and the time tell nothing: what has a search of its own,
+    and more parameters or more shapes, could do no better."""
+    f = min(fits, key=lambda f: f.criterion)
+    if len(f.noise) or channel.step > 0 or len(f.p) - len(base.p) > PLAIN:
+        return False
+    n, t = len(channel), np.linspace(-1.0, 1.0, len(channel))
+    columns = [np.ones(n), t, t**2, t**3]
+    for x in (*channel.u[:, list(f.structure.inputs)].T, channel.y - f.residual):
+        x = np.nan_to_num(x - x.mean()) / (x.std() + 1e-300)
+        late = [np.concatenate((np.full(k, x[0]), x[: n - k])) for k in LATER]
+        columns += [bend for v in late for bend in (v, v**2, v**3, np.abs(v), t * v)]
+    X, e = np.stack(columns, axis=1)[channel.keep], f.residual[channel.keep]
+    left = e - X @ least_squares(X, e, 1e-10)
+    return bool(chi2.sf(gained(f.n, float(e @ e), float(left @ left)), X.shape[1]) > CHANCE)
 
 
 def _wanted(menu: Menu, s: Structure) -> list[Effect]:

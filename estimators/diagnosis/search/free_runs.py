@@ -1,5 +1,6 @@
 """Free runs of a fitted structure: how it starts on a record, and on blocks that its parameters did not see."""
 
+import re
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -37,6 +38,8 @@ GONE = 0.5
 """Of a state, what may be left at the end of a window for it to be told from a store's level there."""
 STRETCHES = 5
 """Of a fold that is scattered over a record: each a twenty-fifth of it, beyond which a curve of five bends is hardly carried."""
+UNTOLD = 1e-3
+"""Of what a record says of a parameter of a change, below which the blocks beside that of the change say nothing: thirty times its error."""
 STEPS = 6
 """Gauss-Newton steps without a block, from the fit to all blocks: more than the two or three that change anything."""
 
@@ -113,8 +116,8 @@ def _beside(f: Shaped) -> float:
     s, slowest = f.structure, 0.0
     for part, sl in zip(s.parts, s.slices(), strict=True):
         p, e = f.p[sl], part.effect
-        rational = e.slot is Slot.PATH and e.apply is None and e.signal is None
-        den = p[part.count(s.order) // 2 :] if rational else p[: part.first]
+        named = (re.fullmatch(r"f\d*", name) for name, _ in part.parameters(s.order))
+        den = p[np.array([*map(bool, named)])] if e.slot is Slot.PATH and e.apply is None else p[: part.first]
         slowest = max(slowest, largest_pole(np.concatenate(([1.0], den))))
     return slowest
 
@@ -279,7 +282,8 @@ def blocked(
 
     The run starts as on a test record, not from the state that was fitted to this one, and goes through to the block. A
     model that hangs on its fitted state is shown for what it is. When something changes within a block no other block can tell:
-    that time stays what the whole record says. Infinite in a block whose fit failed.
+    that time stays what the whole record says, as does what the others say nothing of, the state that it leaves at once. Infinite in
+    a block whose fit failed.
     """
     n, out, found = len(channel), np.full(len(channel), np.inf), []
     scales = f.scales.copy()
@@ -296,14 +300,17 @@ def blocked(
     if any(part.effect is STORE_CURVE for part in f.structure.parts):
         folds = blocks.scattered(STRETCHES)
     timed = [
-        (sl.stop - 1, int(np.clip(f.p[sl.stop - 1], 0, n - 1)))
+        (sl, int(np.clip(f.p[sl.stop - 1], 0, n - 1)))
         for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True)
         if part.effect.timed
     ]
+    told = np.nan_to_num(f.jacobian) ** 2
     for fold, mask in folds:
         training, free = mask[0][::thin][:n], scales.copy()
-        for place, at in timed:
-            free[place] *= training[at]
+        for of, at in timed:
+            if not training[at] and len(told):
+                free[of] *= told[training][:, of].sum(axis=0) > UNTOLD * told[:, of].sum(axis=0)
+            free[of.stop - 1] *= training[at]
         keep = channel.keep & training
         g = fit(
             replace(channel, keep=keep), f.structure, f.p, free, noise=None if white else f.noise,

@@ -179,7 +179,7 @@ def test_a_model_that_hangs_on_single_blocks_where_it_is_asked_gives_way():
     assert unasked is not None
     assert alike is not None
     assert asked is not None
-    assert unasked.beyond == alike.beyond == 0.0
+    assert unasked.doubts(unasked)[1] == alike.doubts(alike)[1] == 0.0
     assert asked.charged.mean() > 2.0 * unasked.charged.mean()
 
 
@@ -197,7 +197,7 @@ def test_what_the_curvature_of_the_error_leaves_open_is_counted_where_fits_agree
     asked, alike = (tried(candidate, [Record(tone, y)], 0, blocks, prior, (u,)) for u in (white, tone))
     assert asked is not None
     assert alike is not None
-    assert asked.beyond > 0.02**2 > alike.beyond == 0.0
+    assert asked.doubts(asked)[1] > 0.02**2 > alike.doubts(alike)[1] == 0.0
 
 
 @pytest.mark.parametrize(("pole", "samples"), [(0.999, 20), (0.999, 0), (0.5, 20)])

@@ -9,11 +9,14 @@ from scipy.signal import lfilter
 from estimators.diagnosis.baseline import blocks_of
 from estimators.diagnosis.baseline.linear_model import Prior
 from estimators.diagnosis.effects import Clock, named
+from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.path import INITIAL
 from estimators.diagnosis.ladder.verdicts import FIRM
 from estimators.diagnosis.loop import Setting, diagnose
 from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.forces import effective_samples, force_balance
 from estimators.diagnosis.model.linear import fit_linear
+from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.policy import Effort
 from estimators.diagnosis.record import leftover
@@ -21,7 +24,7 @@ from estimators.diagnosis.record.leftover import leftovers
 from estimators.diagnosis.search.blocks import curved, sandwich
 from estimators.diagnosis.search.candidates import Menu, augmented
 from estimators.diagnosis.search.exchange import exchanged
-from estimators.diagnosis.search.free_runs import Start, blocked
+from estimators.diagnosis.search.free_runs import Start, blocked, start_of
 from oed.data import Record
 from oed.errors import InputError
 from tests.estimators.diagnosis.case_linear import linear_case
@@ -256,3 +259,21 @@ def test_what_one_output_feeds_back_is_no_effect_at_another():
     train, test, _ = linear_case(1320)
     found = diagnose(train, test, Setting(effort=Effort.QUICK, separate=True, deviations=False))
     assert found.nature in ("noise", "none")
+
+
+def test_a_state_that_only_the_block_left_out_shows_stays_what_the_whole_record_says():
+    """From 310 on an input acts in another way, from a state that has died within its block: blocks beside it tell nothing of it, and a
+    fit to them had put it thousands off."""
+    rng, n = np.random.default_rng(3), 1000
+    u = 10.0 + np.repeat(rng.standard_normal(n // 10), 10)
+    s = Structure(1).adding(Part(OFFSET)).adding(Part(INITIAL)).adding(Part(named("acts_since"), 0, 1))
+    p = np.array([-0.9, 0.2, 1.0, 0.5, 0.03, -0.95, 3.0, 1.0, 10.0, 310.0])
+    channel = Channel(u[:, None], np.zeros(n), Clock(np.arange(float(n)), n), np.ones(n, dtype=bool))
+    y = simulate(s, p, channel.u, channel.clock) + 0.05 * rng.standard_normal(n)
+    channel = replace(channel, y=y)
+    f = fit(channel, s, p, np.array([1.0, 0.2, 1.0, 1.0, 0.2, 1.0, 1.0, 0.0, 1.0, 1.0]))
+    start = start_of(f, channel, Prior(0.0, np.ones(9), 0.05**2), False)
+    unused, folds = blocked(channel, f, blocks_of([Record(u, y)], 5, 0, 0), 1, start, white=True)
+    assert folds[1][6] == f.p[6]
+    assert all(fold[6] != f.p[6] for fold in (folds[0], *folds[2:]))
+    assert np.std((y - unused)[200:400]) < 1.5 * 0.05

@@ -39,8 +39,8 @@ LAG = 0.5
 NEAR = 2.0
 """Times the linear model's squares, within which a fit may find the way from the nearest shape: an actuator that runs at its limit
 most of the time turns with it, and a quarter off in its rate is a quarter of a turn late within a few."""
-MOVED, FACTORS, PASSES = 3, (1.6, 1.25, 1.1), 4
-"""Shapes of a loop that are moved before they are fitted, by which factors, at most how often by each."""
+FACTORS, PASSES = (1.6, 1.25, 1.1), 4
+"""By which factors the best shapes of a loop are moved before they are fitted, one less by each, and at most how often."""
 MOVES = np.concatenate(
     (
         np.eye(7)[:6],
@@ -117,18 +117,20 @@ def _switching(slowest: float, u: Array) -> Iterator[list[float]]:
                 yield [faster * slowest, push * wide, 0.0, float(low), float(high)]
 
 
-def _nearer(channel: Any, bare: Any, part: Any, best: tuple[float, Array]) -> Array:
-    """The parameters after steps of one of the shape's after the other, and of both rates, by factors that shrink: where an actuator
-    turns at its limit the error has valleys that no derivative leads to."""
+def _nearer(channel: Any, bare: Any, part: Any, tried: list[tuple[float, Array]]) -> list[Array]:
+    """The parameters after steps of one of the shape's after the other, and of both rates, by factors that shrink, while one after the
+    other of the shapes gives way: where an actuator turns at its limit the error has valleys that no derivative leads to."""
     count = len(part.effect.parameters)
-    for factor in FACTORS:
-        for _ in range(PASSES):
-            shapes = best[1][-count:] * factor ** np.concatenate((MOVES, -MOVES))
-            found = profile(channel, bare, part, shapes, best[1])[:1]
-            if not found or not found[0][0] < best[0]:
-                break
-            best = found[0]
-    return best[1]
+    for stay, factor in zip(range(len(FACTORS), 0, -1), FACTORS, strict=True):
+        tried = sorted(tried, key=lambda entry: entry[0])[:stay]
+        for i, best in enumerate(tried):
+            for _ in range(PASSES):
+                shapes = best[1][-count:] * factor ** np.concatenate((MOVES, -MOVES))
+                found = profile(channel, bare, part, shapes, best[1])[:1]
+                if not found or not found[0][0] < best[0]:
+                    break
+                tried[i] = best = found[0]
+    return [p for _, p in tried]
 
 
 def _behind(channel: Any, f: Any) -> Iterator[Any]:
@@ -174,7 +176,7 @@ def _shaped(effect: Any, shapes: Any, steps: Any, near: float = 1.0) -> Any:
             return
         starts = [q for _, q in tried[:BEGUN]]
         if near > 1.0:
-            starts = [_nearer(channel, bare, part, best) for best in tried[:MOVED]]
+            starts = _nearer(channel, bare, part, tried)
         for f in ended(channel, bare, part, starts, steps(slowest, float(np.std(u)))):
             if firm(base, float(np.sum(f.residual**2))):
                 yield f
