@@ -18,6 +18,8 @@ ROUNDED = 1e-12
 """Excess of a worth over its cost, relative, that is rounding: where the price is flat its sign changes without end."""
 MOST_JUMPS = 200
 """Jumps of a density: its price is a rational function and has no more; more are rounding, where it is flat."""
+PARTS, CUTS = 16, 14
+"""Into how many parts the brackets of a jump are cut, and how often: a double has no more digits, and a few points cost as much as one."""
 SOUGHT = 7
 """Times that the brackets of a peak between two nodes are cut to a quarter."""
 
@@ -113,6 +115,19 @@ class Pricing:
         """Panels with edges where the density jumps."""
         return panels if panels.B is not None else self.cut_at(panels, self.jumps(panels, one))
 
+    def resolved(self, panels: Panels, one: Density, accuracy: float) -> Panels:
+        """Panels with edges where the density jumps, that resolve it: of several inputs its directions turn between them."""
+
+        def told(omega: NDArray) -> NDArray[np.float64]:
+            DR, R, values, vectors = self.within(omega, one)
+            above = vectors * (values > 0)[:, None]
+            return np.column_stack([
+                np.sum(np.abs(DR @ above[:, None]) ** 2, axis=(2, 3)), np.sum(np.abs(R @ above) ** 2, axis=(1, 2)),
+            ])  # fmt: skip
+
+        panels = self.cut(panels, one)
+        return Panels.on(self.masks, resolved_edges(told, panels.edges, accuracy))
+
     def cut_at(self, panels: Panels, jumps: NDArray[np.float64]) -> Panels:
         """Panels with more edges."""
         edges = np.union1d(panels.edges, jumps)
@@ -147,8 +162,10 @@ class Pricing:
         at = np.flatnonzero(count[1:] != count[:-1])
         at = at[: len(at) if len(at) <= MOST_JUMPS else 0]
         low, high, left = points[at], points[at + 1], count[at]
-        for _ in range(60 if len(at) else 0):
-            middle = (low + high) / 2
-            same = positive(middle) == left
-            low, high = np.where(same, middle, low), np.where(same, high, middle)
+        rows, steps = np.arange(len(at)), np.linspace(0, 1, PARTS + 1)
+        for _ in range(CUTS if len(at) else 0):
+            points = low[:, None] + (high - low)[:, None] * steps
+            other = positive(points[:, 1:-1].ravel()).reshape(len(at), -1) != left[:, None]
+            first = np.where(other.any(axis=1), np.argmax(other, axis=1) + 1, PARTS)
+            low, high = points[rows, first - 1], points[rows, first]
         return np.asarray(high, dtype=np.float64)

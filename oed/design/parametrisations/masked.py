@@ -55,6 +55,8 @@ FINE = 1e-7
 """Tolerance that mixing densities does not reach in few rounds; at others Newton's method is tried where the gap does not fall."""
 FLAT = 2e-3
 """Relative gain of the bound in a quasi-Newton step, in units of the tolerance, below which it is the last."""
+JOINED = 0.1
+"""Share of the last weights' certificate in the one that is climbed from."""
 AGAIN = 0.3
 """Share of the gap of the last trial at which the next is worth its time."""
 
@@ -117,7 +119,7 @@ class _Search:
 
     def __init__(self, problem: Problem, masks: Masks, limit: float, tolerance: float) -> None:
         self.problem, self.masks, self.limit, self.tolerance = problem, masks, limit, tolerance
-        self.ends = np.zeros(0)
+        self.ends, self.accuracy = np.zeros(0), min(RESOLVED, 0.1 * tolerance)
         self.pricing = Pricing(problem, masks, limit)
 
     def run(self, panels: Panels) -> Design:
@@ -128,6 +130,8 @@ class _Search:
         found, pieces, start = [Density(np.eye(n), 0.0), best], np.ones((2, PIECES), dtype=bool), None
         panels = self.pricing.cut(panels, best)
         bound, kept, loss, stalled, near = self._bound(panels, best), None, np.inf, 0, NEARLY
+        # Of an eigenvalue Newton's method takes many steps until the multiplicity shows, and mixing few rounds.
+        fine = self.tolerance < FINE and self.problem.criterion.method == "smooth"
         for _ in range(MOST_ROUNDS):
             gap = max(loss / bound - 1, self.tolerance)
             columns, phi = self._columns(panels, found, pieces)
@@ -143,16 +147,15 @@ class _Search:
             # A density within both masks is dear: there the price is the one that the weights found.
             priced = Density(weights.X, float(weights.nu[0]))
             for density in (priced if panels.B is not None else self._best(panels, weights.X), None):
-                new.append(density or self._climbed(panels, best))
+                new.append(density or self._climbed(panels, self._joined(best, new[0])))
                 panels = self.pricing.cut(panels, new[-1])
                 proof = self._bound(panels, new[-1])
                 if proof > bound:
                     bound, best = proof, new[-1]
             polished = None
-            if self.tolerance < loss / bound - 1 < near and (self.tolerance < FINE or stalled):
+            if self.tolerance < loss / bound - 1 < near and (fine or stalled):
                 near = AGAIN * (loss / bound - 1)
-                M = self.problem.constant + columns.information(w)
-                polished = polished_density(self.pricing, panels, M, best)
+                polished = polished_density(self.pricing, panels, best, self.accuracy)
             if polished is not None:
                 panels, one, own = polished
                 proof, value = (
@@ -211,6 +214,15 @@ class _Search:
         found = minimize_scalar(h, bounds=(0.0, top), method="bounded", options={"xatol": 1e-13 * top})
         return replace(free, nu=min((h(x), x) for x in (0.0, float(found.x)))[1])
 
+    def _joined(self, one: Density, other: Density) -> Density:
+        """Of an eigenvalue a certificate with the directions of both: steps in X alone leave those out that it does not have."""
+        criterion = self.problem.criterion
+        if criterion.method != "eigenvalue":
+            return one
+        shares = [share / criterion.numerator(part.X) for share, part in ((1 - JOINED, one), (JOINED, other))]
+        Z = shares[0] * one.X @ one.X.T + shares[1] * other.X @ other.X.T
+        return Density(square_root(Z), shares[0] * one.nu + shares[1] * other.nu)
+
     def _climbed(self, panels: Panels, one: Density) -> Density:
         """A certificate of a larger bound, by quasi-Newton steps: its gradient is the information of its own density."""
         from scipy.optimize import minimize
@@ -257,8 +269,7 @@ class _Search:
             worth = lambda w: self.masks.most(
                 *self.masks.at(w), one.worth(self.problem.scaled_factor(w), self.limit)
             )[1]
-            accuracy = min(RESOLVED, 0.1 * self.tolerance)
-            most = float(integral(worth, panels.edges, accuracy)) / np.pi * (1 + accuracy)
+            most = float(integral(worth, panels.edges, self.accuracy)) / np.pi * (1 + self.accuracy)
         else:
             most = float(panels.weight @ self.pricing.at(panels, one)[1])
         fixed = float(np.sum(one.X * (self.problem.constant @ one.X)))

@@ -1,31 +1,35 @@
-"""The last digits of a design under a mask: Newton's method on the information of the density that its own price finds worth most.
+"""The last digits of a design under a mask: Newton's method on the price whose own density has the information that it asks for.
 
-The optimum has M = M_0 + M(Phi) for the density Phi that is all of the mask where worth T = D^* Z D - nu I / P is positive and
-nothing elsewhere, Z = X X' as the criterion has it at M. A change of M changes Z, and by that the frequencies where an eigenvalue
-of the worth is 0, each by its change over its slope; and, with several inputs, the directions between those that are worth
-something and those that are not. Both are sums of G tr(G dZ) with symmetric G, so that the equations are linear in n (n + 1) / 2.
+The dual of the problem is smooth: least in (X, nu) is tr X'M_0 X + nu + (1/pi) int of the positive eigenvalues of the worth
+T = D^* X X' D - nu I / P within the mask, less log numerator(X). Its slope is 2 M X - rise, with the information M of the density
+that is all of the mask where T is positive and nothing elsewhere, and 1 less that density's share of the power. A change of X moves
+the frequencies where an eigenvalue of the worth is 0, each by its change over its slope; and, with several inputs, the directions
+between those that are worth something and those that are not. Both are sums of G tr(G dZ) with symmetric G, Z = X X'. So every
+criterion has the same equations, also where M is singular, or the loss has a kink.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from oed.criteria import Criterion
 from oed.design.parametrisations.densities import Density, Panels, Pricing
-from oed.design.solvers.weights_clarabel import smat, svec
 
-MANY = 30
-"""Parameters up to which a step, of n^6, takes less than a round."""
-STEPS = 12
-"""Newton steps; where the jumps of the density are the right ones it takes three to six."""
-HALVINGS = 6
+LARGEST = 1200
+"""Unknowns: beyond them a step takes longer than a round."""
+STEPS = 30
+"""Newton steps; where the jumps of the density are the right ones it takes three to six, and more where power is nearly free."""
+CUTS = 24
+LEFT = 0.3
+"""Share of the slope along a step that may be left at its end: where a peak of the worth just touches 0 it grows like a root."""
 CLOSE = 1e-13
-"""Relative error of the information at which it is found."""
+"""Norm of the conditions, in units in which a relative change of anything is a number, at which they hold."""
+DEPENDENT = 1e-12
+"""Combinations of unknowns that move the conditions by less than this share are left alone: X as a whole may turn."""
 BESIDE = 1e-5
 """Distance at which the slope of the worth is taken, in units of the distance over which the plant changes."""
 
@@ -42,64 +46,75 @@ class Response:
     used: NDArray[np.float64]
 
 
-def polished_information(
-    criterion: Criterion, respond: Callable[[NDArray[np.float64], float], Response], M: NDArray[np.float64], nu: float
-) -> tuple[NDArray[np.float64], float]:  # fmt: skip
-    """The information and the price of power at which they are those of their own density; M (n, n), nu to begin with."""
-    here = respond(criterion.direction(M), nu)
-    before = float(np.linalg.norm(_residual(M, nu, here)))
+def polished_price(criterion: Criterion, respond: Callable[[Density], Response], one: Density) -> Density:
+    """The price at which the information of its own density is the one that it asks for, from one that is nearly right."""
+    here = respond(one)
+    size = np.sqrt(np.sum(one.X * (here.information @ one.X)) + one.nu * (1 - here.power))
+    one = Density(one.X / size, one.nu / size**2)
+    unit = _unit(one, here)
     for _ in range(STEPS):
-        dM, dnu = _step(criterion, M, nu, here)
-        length = 1.0
-        for _ in range(HALVINGS):
-            trial, price = M + length * dM, nu + length * dnu
-            try:
-                np.linalg.cholesky(trial)
-                there = respond(criterion.direction(trial), max(price, 0.0))
-                after = float(np.linalg.norm(_residual(trial, price, there)))
-            except np.linalg.LinAlgError:
-                after = np.inf
-            if after < before:
-                break
-            length *= 0.3
+        residual, J = _conditions(criterion, one, here)
+        if np.linalg.norm(unit * residual) < CLOSE:
+            break
+        # Of an eigenvalue the dual is not convex in X: down along every direction of curvature.
+        values, vectors = np.linalg.eigh(J * np.outer(unit, unit))
+        told = np.abs(values) > DEPENDENT * np.abs(values).max()
+        step = -unit * (vectors[:, told] @ ((unit * residual) @ vectors[:, told] / np.abs(values[told])))
+        found = _least_along(criterion, respond, one, step, float(residual @ step))
+        if found is None:
+            break
+        one, here = found
+    return one
+
+
+def _least_along(
+    criterion: Criterion, respond: Callable[[Density], Response], one: Density, step: NDArray[np.float64], slope: float
+) -> tuple[Density, Response] | None:  # fmt: skip
+    """Where the dual is nearly least along a step in all unknowns, whose slope is given, and what is answered there."""
+    low, high, above, length = 0.0, np.inf, 0.0, 1.0
+    for _ in range(CUTS if slope < 0 else 0):
+        moved = one.X + length * step[:-1].reshape(one.X.shape)
+        trial = Density(moved, max(one.nu + length * float(step[-1]), 0.0))
+        there = respond(trial)
+        then = float(_conditions(criterion, trial, there, False)[0] @ step)
+        if abs(then) <= LEFT * abs(slope) or (then < 0 and high == np.inf):
+            return trial, there
+        if then < 0:
+            low = length
         else:
-            break
-        M, nu, here, gained = trial, max(price, 0.0), there, after / before
-        before = after
-        if before < CLOSE or gained > 0.5:
-            break
-    return M, nu
+            high, above = length, then
+        length = low + (high - low) * (0.5 if low > 0 else max(0.1, slope / (slope - above)))
+    return None
 
 
-def _residual(M: NDArray[np.float64], nu: float, here: Response) -> NDArray[np.float64]:
-    """Relative errors of the information, and of the power where it has a price."""
-    half = np.linalg.cholesky(M)
-    left: NDArray[Any] = np.linalg.solve(half, np.linalg.solve(half, M - here.information).T)
-    return np.append(svec(left[None])[0], here.power - 1 if nu > 0 else max(here.power - 1, 0.0))
+def _unit(one: Density, here: Response) -> NDArray[np.float64]:
+    """Of every unknown: its share of the curvature is 1."""
+    g = here.G @ one.X
+    own = 2 * np.diag(here.information)[:, None] + 4 * np.einsum("b,bns->ns", here.weight, g**2)
+    price = float(here.weight @ here.used**2)
+    return np.append(own.ravel(), price if price > 0 else 1.0) ** -0.5
 
 
-def _step(
-    criterion: Criterion, M: NDArray[np.float64], nu: float, here: Response
-) -> tuple[NDArray[np.float64], float]:
-    """Newton's step; the price stays where the power is not all used."""
-    n = len(M)
-    X, Y = criterion.direction(M), np.linalg.inv(M)
-    Z = X @ X.T
-    basis = np.stack([smat(one, n) for one in np.eye(n * (n + 1) // 2)])
-    dZ = Y @ basis @ Z
-    dZ = svec((criterion.curvature or 0.0) * (Z @ basis @ Z) - dZ - dZ.swapaxes(1, 2)).T
-    G = svec(here.G)
-    moved = (G.T * here.weight) @ G
-    bent, q = moved @ dZ, G.T @ (here.weight * here.used)
-    left = np.eye(len(bent) + 1)
-    left[:-1, :-1] -= bent
-    right = np.append(svec((here.information - M)[None])[0], 0.0)
-    if nu > 0:
-        left[:-1, -1], left[-1, :-1] = q, q @ dZ
-        left[-1, -1] = -float(here.weight @ here.used**2)
-        right[-1] = 1 - here.power
-    change: NDArray[Any] = np.linalg.solve(left, right)
-    return smat(change[:-1], n), float(change[-1])
+def _conditions(
+    criterion: Criterion, one: Density, here: Response, derivatives: bool = True
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The slope of the dual by X and by the price of power, which stays where not all of it is used; and its derivatives."""
+    X, M = one.X, here.information
+    priced = one.nu > 0 or here.power > 1
+    rise = criterion.log_numerator(X, False)[0]
+    residual = np.append((2 * M @ X - rise).ravel(), 1 - here.power if priced else 0.0)
+    if not derivatives:
+        return residual, np.zeros((0, 0))
+    g = (here.G @ X).reshape(len(here.G), -1)
+    H = np.zeros((X.size + 1,) * 2)
+    H[:-1, :-1] = (
+        2 * np.kron(M, np.eye(X.shape[1])) + 4 * (g.T * here.weight) @ g - criterion.log_derivatives(X)[1]
+    )
+    H[-1, -1] = 1.0
+    if priced:
+        H[:-1, -1] = H[-1, :-1] = -2 * g.T @ (here.weight * here.used)
+        H[-1, -1] = float(here.weight @ here.used**2)
+    return residual, H
 
 
 def responded(
@@ -151,19 +166,15 @@ def answer(pricing: Pricing, panels: Panels, one: Density) -> Response:
 
 
 def polished_density(
-    pricing: Pricing, panels: Panels, M: NDArray[np.float64], one: Density
+    pricing: Pricing, panels: Panels, one: Density, accuracy: float
 ) -> tuple[Panels, Density, NDArray] | None:
-    """Panels, certificate and its own density, within the power, after Newton's method from an information and a certificate."""
-    criterion = pricing.problem.criterion
-    if criterion.curvature is None or panels.B is not None or criterion.n > MANY:
+    """Panels, certificate and its own density, within the power, after Newton's method from a certificate."""
+    if panels.B is not None or one.X.size > LARGEST:
         return None
-    X = criterion.direction(M)
-    nu = one.nu * float(np.sum(X * (M @ X)) / np.sum(one.X * (M @ one.X)))
     try:
-        M, nu = polished_information(criterion, lambda X, nu: answer(pricing, panels, Density(X, nu)), M, nu)
+        one = polished_price(pricing.problem.criterion, lambda trial: answer(pricing, panels, trial), one)
     except np.linalg.LinAlgError:
         return None
-    one = Density(criterion.direction(M), nu)
-    panels = pricing.cut(panels, one)
+    panels = pricing.resolved(panels, one, accuracy)
     phi = pricing.at(panels, one)[0]
     return panels, one, phi / max(1.0, pricing.used(panels, phi))

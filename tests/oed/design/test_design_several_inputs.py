@@ -5,13 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed.design import masked_design, solve_design
+from oed.criteria import c_criterion
+from oed.design import information_map, masked_design, solve_design
+from oed.design.parametrisations import masked_polishing
+from oed.design.parametrisations.densities import Density
+from oed.design.problem.criteria_by_name import criterion_of
 from oed.design.problem.lines import Columns
 from oed.design.solvers import condition_number, worst_response
 from oed.design.solvers.weights_e import condition_weights
 from oed.plants.named import named_plant
 from oed.plants.plant import Plant
-from tests.oracles.certificates import hard_plant
+from tests.oracles.certificates import Challenge, hard_plant
 
 TIGHT = 1e-9
 """The tolerance asked for."""
@@ -156,6 +160,58 @@ def test_masks_close_to_the_last_digits(name, height):
     above = np.clip(price - nu, 0, None)
     most = nu + height / np.pi * np.sum((above[1:] + above[:-1]) / 2 * np.diff(omega))
     assert design.bound == pytest.approx(design.certificate.numerator / most, rel=1e-7)
+
+
+def test_a_mask_of_two_inputs_under_which_power_is_nearly_free_closes():
+    """4.6e-9 open: the information of the first mixture is nothing like the optimum's in what the peak gain does not ask for, and
+    Newton's method went by that. The bound by sums that close in on every kink."""
+    plant = Plant(
+        [[[0, 1.34], [0, 0.0551]], [[0, -0.247], [0, 0.369]]],
+        [[[1, -0.92], [1, -0.925]], [[1, 0.386], [1, -0.9985]]],
+        noise_covariance=0.1,
+    )
+    height, oracle = 1.5, Challenge(plant)
+    mask = lambda omega: height * np.multiply.outer(np.ones(len(omega)), np.eye(2))
+    design = masked_design(plant, "hinf", input_mask=mask, tolerance=TIGHT)
+    assert design.status.ok
+    assert design.bound <= oracle.bound_within(design, height) * (1 + 1e-9)
+    told = oracle.loss_of(design.criterion.V, oracle.information(design.spectrum), False)
+    assert design.loss == pytest.approx(told, rel=1e-9)
+
+
+def test_a_density_whose_directions_turn_is_resolved():
+    """4.4e-9: the panels resolved the masks and the jumps, not a density that turns from one input to the other between them."""
+    plant = Plant(
+        [[[0, -0.899], [0, -0.569, 1.6]], [[0, -0.38, 1.17], [0, 0.55, 0.266]]],
+        [[[1, 0.9925], [1, 1.888, 0.9747]], [[1, -1.578, 0.5814], [1, 1.794, 0.9238]]],
+        noise_covariance=0.1,
+    )
+    mask = lambda omega: np.multiply.outer(np.where(omega < 1.5, 2.0, 0.4), np.eye(2))
+    wanted = c_criterion(np.random.default_rng(6).normal(size=len(plant.free)))
+    assert masked_design(plant, wanted, input_mask=mask, tolerance=TIGHT).status.ok
+
+
+@pytest.mark.parametrize("name", ["D", "A", "E", "hinf"])
+def test_the_conditions_of_a_mask_have_the_derivatives_they_say(name, monkeypatch):
+    """Against differences of the slope, which is that of the density on panels cut anew at its own jumps."""
+    asked = []
+    monkeypatch.setattr(masked_polishing, "polished_price", lambda *call: asked.append(call) or call[-1])
+    plant, flat = named_plant("reference"), lambda omega: np.full(len(omega), 1.6)
+    masked_design(plant, "A", input_mask=flat, tolerance=TIGHT)
+    criterion, respond, one = asked[0]
+    criterion = criterion_of(name, plant, information_map(plant)) if name != "A" else criterion
+    one = Density(one.X[:, : criterion.V.shape[1]], one.nu)
+    conditions = lambda one: masked_polishing._conditions(criterion, one, respond(one))
+    J, size = conditions(one)[1], one.X.size
+    for at in range(size + 1):
+        step = np.zeros(size + 1)
+        step[at] = 1e-5 * (np.abs(one.X).max() if at < size else one.nu)
+        ahead, behind = (
+            conditions(Density(one.X + side * step[:-1].reshape(one.X.shape), one.nu + side * step[-1]))[0]
+            for side in (1, -1)
+        )
+        slope = (ahead - behind) / (2 * step[at])
+        np.testing.assert_allclose(J[:, at], slope, rtol=1e-4, atol=1e-5 * np.abs(slope).max())
 
 
 def test_a_flat_price_has_few_jumps():
