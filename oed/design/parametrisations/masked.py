@@ -55,8 +55,6 @@ FINE = 1e-7
 """Tolerance that mixing densities does not reach in few rounds; at others Newton's method is tried where the gap does not fall."""
 FLAT = 2e-3
 """Relative gain of the bound in a quasi-Newton step, in units of the tolerance, below which it is the last."""
-JOINED = 0.1
-"""Share of the last weights' certificate in the one that is climbed from."""
 AGAIN = 0.3
 """Share of the gap of the last trial at which the next is worth its time."""
 
@@ -147,7 +145,7 @@ class _Search:
             # A density within both masks is dear: there the price is the one that the weights found.
             priced = Density(weights.X, float(weights.nu[0]))
             for density in (priced if panels.B is not None else self._best(panels, weights.X), None):
-                new.append(density or self._climbed(panels, self._joined(best, new[0])))
+                new.append(density or self._climbed(panels, best))
                 panels = self.pricing.cut(panels, new[-1])
                 proof = self._bound(panels, new[-1])
                 if proof > bound:
@@ -213,15 +211,6 @@ class _Search:
             return free
         found = minimize_scalar(h, bounds=(0.0, top), method="bounded", options={"xatol": 1e-13 * top})
         return replace(free, nu=min((h(x), x) for x in (0.0, float(found.x)))[1])
-
-    def _joined(self, one: Density, other: Density) -> Density:
-        """Of an eigenvalue a certificate with the directions of both: steps in X alone leave those out that it does not have."""
-        criterion = self.problem.criterion
-        if criterion.method != "eigenvalue":
-            return one
-        shares = [share / criterion.numerator(part.X) for share, part in ((1 - JOINED, one), (JOINED, other))]
-        Z = shares[0] * one.X @ one.X.T + shares[1] * other.X @ other.X.T
-        return Density(square_root(Z), shares[0] * one.nu + shares[1] * other.nu)
 
     def _climbed(self, panels: Panels, one: Density) -> Density:
         """A certificate of a larger bound, by quasi-Newton steps: its gradient is the information of its own density."""

@@ -45,7 +45,8 @@ class Setting:
 
     def factor(self, omega: NDArray) -> NDArray[np.complex128]:
         """D in the units of the criterion: omega (K,) -> (K, n, r, nu)."""
-        return np.einsum("ij,kjrq->kirq", self.turn, self.map.factor(omega))
+        D = self.map.factor(omega)
+        return (self.turn @ D.reshape(*D.shape[:2], D.shape[2] * D.shape[3])).reshape(D.shape)
 
     def lines(self, omega: NDArray, direction: NDArray) -> Lines:
         """Lines of unit power at frequencies and directions."""
@@ -71,7 +72,9 @@ class Setting:
     def forms(self, omega: NDArray, Z: NDArray) -> NDArray[np.complex128]:
         """D^* Z D: omega (K,) -> (K, nu, nu)."""
         D = self.factor(omega)
-        return np.einsum("knrq,nm,kmrs->kqs", D.conj(), Z, D, optimize=True)
+        K, n, r, q = D.shape
+        valued = (Z @ D.reshape(K, n, r * q)).reshape(K, n * r, q)
+        return np.asarray(D.reshape(K, n * r, q).conj().swapaxes(1, 2) @ valued, dtype=np.complex128)
 
     def excess(self, omega: NDArray, Z_low: NDArray, Z_high: NDArray, k: float) -> tuple[NDArray, NDArray]:
         """Largest eigenvalue of k S_1 - S_2 and its direction."""
