@@ -246,6 +246,12 @@ def _time(U: Array, channel: int, p: Array, clock: Clock) -> Array:
     return clock.turn
 
 
+def _nearing(U: Array, channel: int, p: Array, clock: Clock) -> Array:
+    """Time, which slows down with a time constant in records, the last parameter."""
+    pace = max(abs(float(p[-1])), SOONEST)
+    return -pace * np.expm1(-np.maximum(clock.turn, 0.0) / pace)
+
+
 def _heat(U: Array, channel: int, p: Array, clock: Clock) -> Array:
     """Leaky mean of the squared input; the last parameter is its time constant."""
     return leaky(U[:, 0] ** 2, p[-1])
@@ -371,6 +377,10 @@ MODULATED = (
                  "the resonance moves, the gain stays", _spring_by, _time, _with_time, {"slope": "1/record"}),
     _coefficient("damping_drift", "parameter_drift", Nature.TIME, "the damping changes steadily with time", _damping_by, _time,
                  lambda s: ([[f * s.damping] for f in CHANGES], [s.damping]), {"slope": "sample/record"}),
+    replace(
+        _coefficient("damping_settles", "parameter_drift", Nature.TIME, "the damping changes with time and nears an end", _damping_by, _nearing,
+                     lambda s: ([[f * s.damping / m, m] for f in CHANGES for m in AGEING[1:]], [s.damping, 0.3]),
+                     {"slope": "sample/record", "memory": "record"}), extends="damping_drift"),
     _coefficient("stiffness_heat", "slow_hidden_state", Nature.DYNAMIC,
                  "the stiffness follows a slow state that the squared input feeds", _stiffness_by, _heat, _with_heat,
                  {"share": "1/u^2", "time": "sample"}),

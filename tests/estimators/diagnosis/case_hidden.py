@@ -6,7 +6,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from tests.estimators.diagnosis.case_classes import CLASSES, LOOKALIKES
-from tests.estimators.diagnosis.case_parts import FINE, lag, linear, read, sensor
+from tests.estimators.diagnosis.case_parts import FINE, lag, linear, read, sensor, swing
 
 __all__ = ["ALL_CLASSES", "ALL_LOOKALIKES"]
 
@@ -252,6 +252,13 @@ def archived(u, a):
     return shown
 
 
+def leaking(u, a):
+    """A damper that loses its oil, ever more slowly: what is left after the record is a fifth."""
+    return swing(
+        lambda x, v, f, t: 0.06 * (f - x) - (0.25 if not a else 0.05 + 0.3 * np.exp(-t / 250.0)) * v, u
+    )
+
+
 ALL_CLASSES = CLASSES | {
     # effect: maker, order of the linear model, form of the input
     "rate_in_loop": (slow_valve, 3, {"hold": 20, "size": 0.5}), "rate_of_loop": (slow_valve_seen, 3, {"hold": 20, "size": 0.5}),
@@ -263,11 +270,12 @@ ALL_CLASSES = CLASSES | {
     "reported_on_change": (on_change, 2, {}), "integral_curve of two ways": (swung, 2, {}),
     "sweep_input": (beside_a_machine, 2, {}), "sensor_paced": (cups, 2, {}), "rate_loaded": (jack, 2, {"hold": 15, "inputs": 2}),
     "input_scanned": (scanned, 2, {}), "input_staged": (staged, 2, {}), "output_ranges": (ranged, 2, {}), "output_dead_band": (archived, 2, {}),
-    "acts_since": (opened, 1, {"mean": 2.0, "inputs": 2}),
+    "acts_since": (opened, 1, {"mean": 2.0, "inputs": 2}), "damping_settles": (leaking, 2, {}),
 }  # fmt: skip
 
 ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     # effect, a record that looks like it and is not
+    ("damping_settles", "resonance_drift"), ("damping_settles", "gain_settles"), ("damping_settles", "loss_change"),
     ("acts_since", "gain_periodic"), ("acts_since", "relay"), ("acts_since", "inertia_drift"), ("acts_since", "capacity_filled"),
     ("input_staged", "plays"), ("relay", "input_staged"), ("output_ranges", "magnitude"), ("output_ranges", "output_cutoff"),
     ("output_dead_band", "plays_output"), ("output_staircase", "output_dead_band"), ("plays_output", "output_dead_band"),
