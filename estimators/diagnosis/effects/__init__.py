@@ -14,7 +14,7 @@ from estimators.diagnosis.effects.plant import MODULATED, PLANT
 from estimators.diagnosis.effects.process import PROCESS
 from estimators.diagnosis.effects.profiled import PROFILED
 from estimators.diagnosis.effects.rotation import ROTATION
-from estimators.diagnosis.effects.sensors import SENSORS
+from estimators.diagnosis.effects.sensing import SENSORS
 from oed.errors import InputError
 
 __all__ = ["CATALOGUE", "Clock", "Effect", "Nature", "Sizes", "Slot", "named"]

@@ -13,7 +13,7 @@ from estimators.diagnosis.baseline.blocks import Blocks
 from estimators.diagnosis.baseline.linear_model import FAR, LinearModel, Prior
 from estimators.diagnosis.effects import Clock, Slot
 from estimators.diagnosis.effects.path import INITIAL, STORE_CURVE
-from estimators.diagnosis.effects.sensors import REPORTED
+from estimators.diagnosis.effects.sensing import REPORTED
 from estimators.diagnosis.model.fitting import Channel, Fit, fit, levenberg_marquardt
 from estimators.diagnosis.model.layouts import LAYOUTS, layout_matrices
 from estimators.diagnosis.model.simulation import simulate

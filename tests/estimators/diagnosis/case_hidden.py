@@ -259,6 +259,12 @@ def leaking(u, a):
     )
 
 
+def polled(u, a):
+    """Two probes that one transmitter polls in turn: the second has a lag of twelve samples."""
+    y = linear(u)
+    return np.where(np.arange(len(u)) % 2 == 0, y, y + a * (lag(y, np.exp(-1.0 / 12.0)) - y))
+
+
 ALL_CLASSES = CLASSES | {
     # effect: maker, order of the linear model, form of the input
     "rate_in_loop": (slow_valve, 3, {"hold": 20, "size": 0.5}), "rate_of_loop": (slow_valve_seen, 3, {"hold": 20, "size": 0.5}),
@@ -270,12 +276,12 @@ ALL_CLASSES = CLASSES | {
     "reported_on_change": (on_change, 2, {}), "integral_curve of two ways": (swung, 2, {}),
     "sweep_input": (beside_a_machine, 2, {}), "sensor_paced": (cups, 2, {}), "rate_loaded": (jack, 2, {"hold": 15, "inputs": 2}),
     "input_scanned": (scanned, 2, {}), "input_staged": (staged, 2, {}), "output_ranges": (ranged, 2, {}), "output_dead_band": (archived, 2, {}),
-    "acts_since": (opened, 1, {"mean": 2.0, "inputs": 2}), "damping_settles": (leaking, 2, {}),
+    "acts_since": (opened, 1, {"mean": 2.0, "inputs": 2}), "damping_settles": (leaking, 2, {}), "multiplexed of lags": (polled, 2, {}),
 }  # fmt: skip
 
 ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     # effect, a record that looks like it and is not
-    ("damping_settles", "resonance_drift"), ("damping_settles", "gain_settles"), ("damping_settles", "loss_change"),
+    ("multiplexed of lags", "interleaved"), ("interleaved", "multiplexed of lags"), ("damping_settles", "resonance_drift"), ("damping_settles", "gain_settles"), ("damping_settles", "loss_change"),
     ("acts_since", "gain_periodic"), ("acts_since", "relay"), ("acts_since", "inertia_drift"), ("acts_since", "capacity_filled"),
     ("input_staged", "plays"), ("relay", "input_staged"), ("output_ranges", "magnitude"), ("output_ranges", "output_cutoff"),
     ("output_dead_band", "plays_output"), ("output_staircase", "output_dead_band"), ("plays_output", "output_dead_band"),

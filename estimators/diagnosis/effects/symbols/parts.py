@@ -14,6 +14,7 @@ from estimators.diagnosis.effects.loops import play_widths
 from estimators.diagnosis.effects.path import curve_of_charge
 from estimators.diagnosis.effects.plant import MOST_WORN
 from estimators.diagnosis.effects.process import Passing
+from estimators.diagnosis.effects.sensing.turns import TOP
 from estimators.diagnosis.effects.symbols import terms
 from estimators.diagnosis.effects.symbols.wiring import Wiring
 
@@ -232,7 +233,20 @@ def _scanned(w: Wiring, x: Any, p: Array, k: Any) -> Any:
     return s.after
 
 
-TIMED: Mapping[str, Callable[[Wiring, Any, Array, Any], Any]] = {"tones": _tones, "input_scanned": _scanned}
+def _in_turn(w: Wiring, x: Any, p: Array, k: Any) -> Any:
+    slow = x
+    if abs(float(p[4])) >= 1.0:
+        s, stays = w.state(w.value(x)), float(np.exp(-1.0 / abs(float(p[4]))))
+        slow = s.after = stays * s.x + (1.0 - stays) * x
+    turn = w.ca.if_else(w.ca.cos(2.0 * np.pi * (k - p[1]) / p[0]) > TOP, 1.0, 0.0)
+    return x + turn * (p[2] * slow + p[3] - x)
+
+
+TIMED: Mapping[str, Callable[[Wiring, Any, Array, Any], Any]] = {
+    "tones": _tones,
+    "input_scanned": _scanned,
+    "multiplexed": _in_turn,
+}
 """Of those that know the time, too."""
 
 

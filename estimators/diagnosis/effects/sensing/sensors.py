@@ -1,4 +1,4 @@
-"""Sensors that report changes only, lag by what they read, show a sine or steps of it, take turns, or have a clock that swings or slips."""
+"""Sensors that report changes only, lag by what they read, show a sine or steps of it, or have a clock that swings or slips."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -246,55 +246,6 @@ BANDED = Effect(
     search=_stepped(lambda: BANDED, _banded, [[0.1], [0.3], [0.45]]),
 )  # fmt: skip
 
-LONGEST = 24
-"""Samples of the longest cycle of sensors that take turns: of a longer one too few samples are of any."""
-TOP = float(np.cos(np.pi / LONGEST))  # between that of a wave and the samples next to it
-
-
-def _turn(p: Array, clock: Clock) -> Any:
-    """1 in the samples whose turn it is, else 0: where a wave of the cycle's length has its top."""
-    return 1.0 * (np.cos(2.0 * np.pi * (clock.k - p[1]) / p[0]) > TOP)
-
-
-def _turned(x: Any, p: Array, clock: Clock) -> Any:
-    return x + _turn(p, clock) * ((p[2] - 1.0) * x + p[3])
-
-
-def _turns(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """Of all cycles and places in them, where a line through the output explains most of the residual; the others tell the plant."""
-    from estimators.diagnosis.model.fitting import fit
-    from estimators.diagnosis.model.simulation import simulate
-    from estimators.diagnosis.model.structure import Part
-
-    def line(x: Array, y: Array, on: Array) -> tuple[Array, float]:
-        """Offset and slope, and the sum of squares that they explain."""
-        D = np.column_stack((np.ones(on.sum()), x[on]))
-        told = np.linalg.lstsq(D, y[on], rcond=None)[0]
-        return told, float(np.sum((D @ told) ** 2))
-
-    s, keep, clock = base.structure, channel.keep, channel.clock
-    if s.layout != "tf" or s.effects:
-        return
-    places = [np.array([c, i]) for c in range(2, LONGEST + 1) for i in range(c)]
-    x, squares = channel.y - base.residual, float(np.sum(base.residual**2))
-    told = [line(x, base.residual, keep & (_turn(p, clock) > 0.0))[1] for p in places]
-    best = int(np.argmax(told))
-    if not firm(base, squares - told[best]):
-        return
-    on = _turn(places[best], clock) > 0.0
-    f = fit(replace(channel, keep=keep & ~on), s, base.p, base.scales, iterations=20, colour=False)
-    (offset, gain), _ = line(simulate(s, f.p, channel.u, clock), channel.y, keep & on)
-    p = np.concatenate((f.p, places[best], [gain, offset]))
-    scales = np.concatenate((f.scales, [0.0, 0.0, 1.0, float(np.std(channel.y))]))
-    yield fit(channel, s.adding(Part(TURNS)), p, scales, noise=base.noise, iterations=20)
-
-
-TURNS = Effect(
-    key="multiplexed", cause="multiplexed_sensor", nature=Nature.SAMPLING, slot=Slot.OUTPUT, trials=300,
-    sentence="one sample of every cycle is read otherwise than the rest: a scanner, or converters in turn, one of another gain or zero",
-    parameters={"cycle": "sample", "place": "sample", "gain": "1", "zero": "y"}, apply=_turned, search=_turns,
-)  # fmt: skip
-
 SWINGS_TRIED, LEAST_SWINGS, FINER = 4, 3, 4
 """Frequencies of a time base that are fitted; its fewest turns in a record; frequencies per line of a record among which they are looked for."""
 ROUNDS = 6  # of them about the best, the steps half as wide each time: to a thousandth of a period
@@ -393,5 +344,3 @@ SLIPPED = Effect(
     sentence="the clock of the output falls behind, or runs ahead, and is set right once in every period",
     parameters={"period": "sample", "place": "1", "slip": "sample"}, apply=_slipped, search=_slippings,
 )  # fmt: skip
-
-SENSORS = (SINE, REPORTED, PACED, TREADS, BANDED, TURNS, SWUNG, SLIPPED)

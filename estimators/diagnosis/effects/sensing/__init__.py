@@ -1,0 +1,8 @@
+"""What a sensor makes of its signal, in which samples and by which clock."""
+
+from estimators.diagnosis.effects.sensing.sensors import BANDED, PACED, REPORTED, SINE, SLIPPED, SWUNG, TREADS
+from estimators.diagnosis.effects.sensing.turns import TURNS
+
+__all__ = ["REPORTED", "SENSORS"]
+
+SENSORS = (SINE, REPORTED, PACED, TREADS, BANDED, TURNS, SWUNG, SLIPPED)
