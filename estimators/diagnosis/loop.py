@@ -124,7 +124,8 @@ def diagnose(
     setting = replace(setting, effects=told_from_clock(setting.effects, records))
     say("effects of the catalogue")
     own = base if len(records) == 1 else best_linear([first], asked)
-    parts = [_named(first, i, own, setting, rest, i in asked.later) for i in range(first.n_outputs)]
+    blind = None if test is None else test.replace(y=np.full_like(test.y, np.nan))
+    parts = [_named(first, i, own, setting, rest, i in asked.later, blind) for i in range(first.n_outputs)]
     also = seen_elsewhere(first, [p[1] for p in parts], [p[2] for p in parts], _options(first, setting))
     parts = [(found, bench, n) for (found, bench, _), n in zip(parts, also, strict=True)]
     say("terms of no catalogue")
@@ -154,9 +155,11 @@ def _options(train: Record, setting: Setting) -> Options:
     return Options(deviations=setting.deviations, diagonal=diagonal)
 
 
-def _named(train: Record, i: int, base: Baseline, setting: Setting, rest: bool, heard: bool) -> Parts:
+def _named(
+    train: Record, i: int, base: Baseline, setting: Setting, rest: bool, heard: bool, wanted: Record | None
+) -> Parts:
     """The named stage of one output: what its samples show, and the effects that hold; `rest` whether records are stated to start so,
-    `heard` whether a model that acts at once heard the noise."""
+    `heard` whether a model that acts at once heard the noise, `wanted` the record on which its run is."""
     order, delays = base.outputs[i].shared
     delay, left = min(delays), train.y[:, i] - base.y_model[0][:, i]
     echo = has_feedback([train], [left], [base.blocks.counting([train])[0][:, i]])
@@ -172,7 +175,7 @@ def _named(train: Record, i: int, base: Baseline, setting: Setting, rest: bool, 
         return Bench(
             found.last, base, i, train, found.thin_of(found.attribution.final), rest, not setting.deviations,
             setting.policy, setting.alpha / train.n_outputs, Menu(setting.effects).family, ahead, echo and not inverse,
-            inverse, setting.skip,
+            inverse, setting.skip, wanted,
         )  # fmt: skip
 
     motion = as_motion(record, i, setting, known)
@@ -368,14 +371,9 @@ def _floor(o: Outcome, train: Record) -> float:
 
 
 def _diagnosis(
-    records: Sequence[Record],
-    test: Record | None,
-    base: Baseline,
-    outcomes: list[Outcome],
-    held: HeldOut,
-    setting: Setting,
+    records: Sequence[Record], test: Record | None, base: Baseline, outcomes: list[Outcome], held: HeldOut, setting: Setting,
     stated: Sequence[tuple[Outcome, Contradiction]],
-) -> Diagnosis:
+) -> Diagnosis:  # fmt: skip
     train = records[0]
     words = (
         "test record"

@@ -20,8 +20,8 @@ Array = NDArray[Any]
 FIRM = 60.0
 """Likelihood ratio of the best shape of a grid, against the linear model, below which nothing is fitted: chance over some
 hundred shapes of three parameters reaches 25 in white noise, twice that in a coloured one."""
-BEGUN, ROUNDS = 6, ((3, 4), (7, 2))
-"""Shapes that steps are made from, and the steps of each round with how many of them stay: the last are fitted to the end."""
+BEGUN, ENDED = 6, 2
+"""Shapes that a few steps are made from, and those of them that are fitted to the end."""
 FINEST = 30.0
 """Steps across the input's range: finer ones leave a hundredth of it as an error."""
 CROSSED = 0.02
@@ -108,11 +108,9 @@ def ended(channel: Any, base: Any, part: Any, starts: Iterable[Array], sizes: li
     from estimators.diagnosis.model.fitting import fit
 
     s, scales = base.structure.adding(part), np.concatenate((base.scales, sizes))
-    begun = list(starts)
-    for steps, stay in ROUNDS:
-        fits = [fit(channel, s, p, scales, noise=base.noise, iterations=steps, colour=False) for p in begun]
-        begun = [f.p for f in sorted(fits, key=lambda f: f.deviance)[:stay]]
-    yield from (fit(channel, s, p, scales, noise=base.noise, iterations=30) for p in begun)
+    begun = [fit(channel, s, p, scales, noise=base.noise, iterations=10, colour=False) for p in starts]
+    for f in sorted(begun, key=lambda f: f.deviance)[:ENDED]:
+        yield fit(channel, s, f.p, scales, noise=base.noise, iterations=30)
 
 
 def of_order(f: Any, order: int, taps: int) -> tuple[Any, Array, Array]:

@@ -13,7 +13,7 @@ from estimators.diagnosis.baseline.choice import jackknife
 from estimators.diagnosis.ladder.asked import curve_unknown, inside
 from estimators.diagnosis.ladder.figures import about, difference_figure, moves, root, root_figure, together
 from estimators.diagnosis.ladder.stated import SET
-from estimators.diagnosis.ladder.steps import Kind, Ladder, Step
+from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, is_sane
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.result.report import ErrorFigure
 from estimators.residual.algebra import mean_error
@@ -72,17 +72,6 @@ def removed(before: Array, after: Array, floor: tuple[float, int], policy: Polic
     value = (root(before) - root(after)) / room
     own = mean_error(moves(before, after) * (1.0 - value) - moves(after, after)) / room
     return about(value, float(np.hypot(own, value / room * level / np.sqrt(2.0 * samples))))
-
-
-def _sane(run: Array, linear: Array, y: Array, policy: Policy) -> bool:
-    """Whether a run stays near the training outputs y (n,), or not much farther off than the linear model's run does."""
-    low, high = float(np.nanmin(y)), float(np.nanmax(y))
-    half, middle = max(high - low, 1e-300) / 2.0, (low + high) / 2.0
-    if not np.all(np.isfinite(run)):
-        return False
-    asked = float(np.max(np.abs(linear - middle), initial=half)) if np.all(np.isfinite(linear)) else np.inf
-    most, beside = policy.sane_reach
-    return bool(np.max(np.abs(run - middle)) < min(most * half, beside * asked))
 
 
 UNDETERMINED = (
@@ -224,7 +213,7 @@ def assess(
         sane = [
             j
             for j in _order(ladder)
-            if _sane(runs[i][j][use], runs[i][0][use], train.y[:, i], policy)
+            if is_sane(runs[i][j][use], runs[i][0][use], train.y[:, i], policy)
             or (
                 test is not None
                 and np.all(np.isfinite(off[j]))
@@ -265,7 +254,7 @@ def assess(
         for i, ladder in enumerate(ladders):
             off = [np.where(counts[:, i], y[:, i] - run, 0.0)[counts[:, i], None] for run in runs[i]]
             sane = [
-                _sane(run[counts[:, i]], runs[i][0][counts[:, i]], train.y[:, i], policy) for run in runs[i]
+                is_sane(run[counts[:, i]], runs[i][0][counts[:, i]], train.y[:, i], policy) for run in runs[i]
             ]
             if (j := _borne_after_all(ladder, answers[i], off, sane, policy)) != answers[i]:
                 kinds = (ladder.rungs[k].step.kind.value for k in (j, answers[i]))

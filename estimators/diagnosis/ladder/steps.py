@@ -297,3 +297,14 @@ def over_linear(
         return None
     gain = paired_gain(measured, ladder.chosen.unused, step.unused, ladder.counted, policy)
     return step if gain.meets((policy.searched[0], policy.lasting)) else None
+
+
+def is_sane(run: Array, linear: Array, y: Array, policy: Policy) -> bool:
+    """Whether a run stays near the training outputs y (n,), or not much farther off than the linear model's run does."""
+    low, high = float(np.nanmin(y)), float(np.nanmax(y))
+    half, middle = max(high - low, 1e-300) / 2.0, (low + high) / 2.0
+    if not np.all(np.isfinite(run)):
+        return False
+    asked = float(np.max(np.abs(linear - middle), initial=half)) if np.all(np.isfinite(linear)) else np.inf
+    most, beside = policy.sane_reach
+    return bool(np.max(np.abs(run - middle)) < min(most * half, beside * asked))

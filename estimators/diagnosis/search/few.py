@@ -40,14 +40,14 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
         options += [drifting(bench.channel, n.fit)] if passing & {key for key, _ in n.dropped} else []
         for t in (t for t in options if t is not None):
             straight = named_steps(bench, replace(a, final=t, rivals=rivals))
-            if straight.step is None or not bench.starts(straight):
+            if straight.step is None or not bench.stands(straight):
                 continue
             surely = n.step is None or bench.over(straight.unused, n.unused).meets(bench.policy.searched)
-            n = straight if surely or not bench.starts(n) else n
+            n = straight if surely or not bench.stands(n) else n
         return n
 
     first = steps(a.final, a.rivals)
-    kept = [first] if bench.starts(first) else []
+    kept = [first] if bench.stands(first) else []
     # what unused blocks refuse may hide another that holds on them
     refused = first.step is None and bool(a.final.structure.effects)
     if kept and not refused and not len(a.final.noise) and not _loose(first):
@@ -91,7 +91,7 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
         able = [f for f in more if spread(f) <= HALF * spread(n.fit)]
         pairs += judged(able[:SECOND], told, (*kept, *singles, *pairs))
     options = sorted(
-        (n for n in (*kept, *singles, *pairs) if n.step is not None and bench.starts(n)),
+        (n for n in (*kept, *singles, *pairs) if n.step is not None and bench.stands(n)),
         key=lambda n: n.step_error(bench),
     )
     if not options:

@@ -19,7 +19,7 @@ from estimators.diagnosis.effects import Nature, Slot
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.ladder import Gain, Kind, Step, paired_gain
 from estimators.diagnosis.ladder.claims import Claim, Named
-from estimators.diagnosis.ladder.steps import as_started
+from estimators.diagnosis.ladder.steps import as_started, is_sane
 from estimators.diagnosis.model.errors import parameters_of
 from estimators.diagnosis.model.fitting import Channel, Fit
 from estimators.diagnosis.model.forces import effective_samples
@@ -72,6 +72,7 @@ class Bench:
     # its free runs are judged as any other's, as one-step errors would be in favour of the inverse
     inverse: bool = False
     skip: int = 0  # samples of a test record that may set its initial state
+    wanted: Record | None = None  # the record on which its run is wanted, without outputs
     # free runs of blocks by fits that were asked before, and their parameters without each block
     known: dict[Fit, tuple[Array, tuple[Array, ...]]] = field(default_factory=dict)
 
@@ -83,12 +84,17 @@ class Bench:
         use[: len(keep)] &= keep[: len(use)]
         return use
 
-    def starts(self, n: Named) -> bool:
-        """Whether the ladder will not refuse a named model for how it starts."""
+    def stands(self, n: Named) -> bool:
+        """Whether the ladder will not refuse a named model for how it starts, nor for a run that explodes where it is wanted: what drifts
+        steadily does so beyond any end."""
         if n.step is None:
             return True
         steps = [linear_step(self.base, self.output, self.rest), n.step]
-        return as_started(steps, self.train, self.output, self.skip)[1].admitted
+        bounded = True
+        if self.wanted is not None:
+            linear, run = (s.simulate(self.wanted, 0) for s in steps)
+            bounded = is_sane(run, linear, self.train.y[:, self.output], self.policy)
+        return bounded and as_started(steps, self.train, self.output, self.skip)[1].admitted
 
     def unused(self, f: Fit) -> Array:
         """(N,) free run of every block by parameters that did not see it."""

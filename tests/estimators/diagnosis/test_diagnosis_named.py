@@ -31,6 +31,7 @@ from estimators.diagnosis.search.named import Bench, _as_linear
 from estimators.diagnosis.search.selection import Attribution
 from oed.data import Record
 from oed.errors import InputError
+from tests.estimators.diagnosis.case_parts import swing
 
 CAUSES = {e.cause for e in CATALOGUE}
 
@@ -179,7 +180,7 @@ def test_what_is_far_off_on_the_record_itself_is_not_put_before_unused_blocks(mo
     gain = SimpleNamespace(meets=lambda limits: True)
     base = SimpleNamespace(unused=[np.zeros((1, 1))])
     bench = SimpleNamespace(base=base, output=0, channel=range(100), over=lambda *a: gain, policy=Policy(),
-                            starts=lambda n: True)  # fmt: skip
+                            stands=lambda n: True)  # fmt: skip
     a = Attribution(None, None, fits[0], [], [], 1.0, alternatives=tuple(fits[1:]))  # type: ignore[arg-type]
     stage.best_named(bench, a, Menu())  # type: ignore[arg-type]
     assert asked == fits[:4]  # the search's own, and all but the last
@@ -210,7 +211,7 @@ def test_a_trend_stands_for_a_pole_that_forgets_nothing_only_where_it_must(
     monkeypatch.setattr(stage, "drifting", lambda channel, f: fits["trend"])
     gain = SimpleNamespace(meets=lambda limits: better)
     bench = SimpleNamespace(channel=None, policy=Policy(), over=lambda *a: gain,
-                            starts=lambda n: able or n.fit.name == "trend")  # fmt: skip
+                            stands=lambda n: able or n.fit.name == "trend")  # fmt: skip
     a = Attribution(None, None, fits["pole"], [], [], 1.0)  # type: ignore[arg-type]
     assert stage.best_named(bench, a, Menu()).fit.name == chosen  # type: ignore[arg-type]
     without = Menu(tuple(e for e in Menu().effects if e.key != "drift"))  # the clock tells nothing there
@@ -223,10 +224,10 @@ def test_what_does_not_start_as_a_test_record_will_is_no_answer(monkeypatch) -> 
     y, rise = np.sin(np.arange(50.0)), np.linspace(0.0, 9.0, 50)
     step = lambda run: Step(Stage.NAMED, (), (y,), SimpleNamespace(simulate=lambda record, window: run), 1)  # type: ignore[arg-type]
     monkeypatch.setattr(searched, "linear_step", lambda *about: step(0.0 * y))
-    bench: Any = SimpleNamespace(train=Record(y, y), output=0, base=None, rest=False, skip=0)
+    bench: Any = SimpleNamespace(train=Record(y, y), output=0, base=None, rest=False, skip=0, wanted=None)
     runs = (y, y + rise, np.full(50, np.nan))
-    assert [Bench.starts(bench, SimpleNamespace(step=step(run))) for run in runs] == [True, False, False]  # type: ignore[arg-type]
-    assert Bench.starts(bench, SimpleNamespace(step=None))  # type: ignore[arg-type]
+    assert [Bench.stands(bench, SimpleNamespace(step=step(run))) for run in runs] == [True, False, False]  # type: ignore[arg-type]
+    assert Bench.stands(bench, SimpleNamespace(step=None))  # type: ignore[arg-type]
 
 
 @pytest.mark.slow
@@ -234,13 +235,13 @@ def test_a_start_is_judged_on_the_record_as_it_is_where_the_input_acts_at_once(r
     """The model takes the input a sample earlier itself: on a record moved already it would be two samples early."""
     u = rng.standard_normal(400)
     e = lfilter([1.0], [1.0, -0.8], 0.02 * rng.standard_normal(400))
-    asked, starts = [], Bench.starts
+    asked, stands = [], Bench.stands
 
     def kept(bench, n):
-        asked.append((bench.ahead, n.step is not None, starts(bench, n)))
+        asked.append((bench.ahead, n.step is not None, stands(bench, n)))
         return asked[-1][-1]
 
-    monkeypatch.setattr(Bench, "starts", kept)
+    monkeypatch.setattr(Bench, "stands", kept)
     found = diagnose(Record(u, lfilter([0.3], [1.0, -0.7], np.clip(u, -0.7, 0.7)) + e))
     assert found.effect == "input_saturation"
     assert next(told for told in asked if told[1]) == (True, True, True)
@@ -355,3 +356,19 @@ def test_a_saturated_input_is_no_actuator_slower_than_its_record() -> None:
     assert (result.effect, result.variant) == ("input_saturation", "saturation")
     value, error, _ = result.parameters["saturation.limit"]
     assert value == pytest.approx(0.8, abs=4.0 * error)
+
+
+@pytest.mark.slow
+def test_what_explodes_where_its_run_is_wanted_is_not_chosen():
+    """A damping that falls ever more slowly: in this noise a straight line fits the record as well, and ends below zero in the next one."""
+    rng, n = np.random.default_rng(2), 900
+    u = np.repeat(rng.standard_normal(2 * n // 5), 5)
+    y = swing(lambda x, v, f, t: 0.06 * (f - x) - 0.3 * np.exp(-t / 800.0) * v, u)
+    y = y + 0.25 * np.std(y) * rng.standard_normal(2 * n)
+    train, test = Record(u[:n], y[:n]), Record(u[n:], y[n:], t0=float(n))
+    found = diagnose(train, test, Setting(effects=tuple(map(named, ("damping_drift", "damping_settles")))))
+    assert found.effect == "parameter_drift"
+    assert "damping_settles" in found.variant
+    assert found.rmse_after.value < 0.4 * found.rmse_before.value
+    alone = diagnose(train, None, Setting(effects=tuple(map(named, ("damping_drift", "damping_settles")))))
+    assert "damping_drift" in alone.variant
