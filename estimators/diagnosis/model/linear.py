@@ -85,8 +85,8 @@ def numerators(y: Array, U: Array, f: Array, taps: int, delay: int, keep: Array)
     return least_squares(X[keep], y[keep])
 
 
-def _starts(y: Array, U: Array, n: int, taps: int, delay: int, keep: Array, rough: bool) -> list[Array]:
-    """Denominators to start from: ARX, Steiglitz-McBride passes, and, unless `rough`, reduced high-order models."""
+def _starts(y: Array, U: Array, n: int, taps: int, delay: int, keep: Array) -> list[Array]:
+    """Denominators to start from: ARX, Steiglitz-McBride passes, and reduced high-order models."""
     out = []
     theta = _regression(y, U, n, taps, delay, keep)
     out.append(theta[:n])
@@ -103,8 +103,6 @@ def _starts(y: Array, U: Array, n: int, taps: int, delay: int, keep: Array, roug
         )
         f = _reflected(theta[:n])
         out.append(f)
-    if rough:
-        return [out[0], out[-1]]
     out = [out[0], out[2], out[-1]]
     high = min(max(3 * n, 12), len(y) // 20)
     theta = _regression(y, U, high, high, delay, keep)
@@ -160,18 +158,16 @@ TRANSIENT = 0.05
 
 
 def begun_linear(
-    channel: Channel, s: Structure, noise: Array | None = None, extra: list[Array] | None = None, rough: bool = False
-) -> list[Fit]:  # fmt: skip
-    """A few steps of the linear model's output-error fit from several starts, or `rough` from the two that lead there most often, the
-    best first."""
+    channel: Channel, s: Structure, noise: Array | None = None, extra: list[Array] | None = None
+) -> list[Fit]:
+    """A few steps of the linear model's output-error fit from several starts, the best first."""
     y, U = channel.y, channel.u[:, list(s.inputs)]
     level, means = 0.0, np.zeros(U.shape[1])
     if any(p.effect is OFFSET for p in s.parts):  # both about their means: a start knows of no level
         level, means = float(np.mean(y[channel.keep])), np.mean(U[channel.keep], axis=0)
     centred, moved = y - level, U - means
     fits, off, starts = [], [], any(q.effect.slot is Slot.START for q in s.parts)
-    found = _starts(centred, moved, s.order, s.taps, s.delay, channel.keep, rough)
-    for f in found + list(extra or []):
+    for f in _starts(centred, moved, s.order, s.taps, s.delay, channel.keep) + list(extra or []):
         f = _reflected(f)
         if not stable_polynomial(f):
             continue
@@ -196,7 +192,7 @@ def fit_linear(
     begun: list[Fit] | None = None,
 ) -> Fit:  # fmt: skip
     """Output-error fit of the linear model from several starts, or on from those that are `begun`."""
-    fits = begun_linear(channel, s, noise, extra, rough) if begun is None else begun
+    fits = begun_linear(channel, s, noise, extra) if begun is None else begun
     if rough:
         return fit(channel, s, fits[0].p, fits[0].scales, noise=noise, iterations=10, colour=False)
     distinct = [fits[0]]
