@@ -15,6 +15,7 @@ from estimators.diagnosis.model.linear import layout_starts
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.record.measurement import switched
 from estimators.diagnosis.search.starts import Start, fitted, renewed, scored
+from estimators.diagnosis.share.signals import late
 from estimators.residual.algebra import least_squares
 
 Array = NDArray[Any]
@@ -153,8 +154,7 @@ def _explained(channel: Channel, base: Fit, fits: list[Fit]) -> bool:
     columns = [np.ones(n), t, t**2, t**3]
     for x in (*channel.u[:, list(f.structure.inputs)].T, channel.y - f.residual):
         x = np.nan_to_num(x - x.mean()) / (x.std() + 1e-300)
-        late = [np.concatenate((np.full(k, x[0]), x[: n - k])) for k in LATER]
-        columns += [bend for v in late for bend in (v, v**2, v**3, np.abs(v), t * v)]
+        columns += [bend for v in (late(x, k) for k in LATER) for bend in (v, v**2, v**3, np.abs(v), t * v)]
     X, e = np.stack(columns, axis=1)[channel.keep], f.residual[channel.keep]
     left = e - X @ least_squares(X, e, 1e-10)
     return bool(chi2.sf(gained(f.n, float(e @ e), float(left @ left)), X.shape[1]) > CHANCE)
