@@ -214,6 +214,9 @@ def quickly_made(channel: Any, s: Any) -> Array | None:
     return relinearised(channel, s, p) if stable_polynomial(p[: s.order]) else None
 
 
+KEPT = 0.9  # share of the samples, from which on the others may stand as the linear model has them while an effect is undone
+
+
 def mended(
     effect: Callable[[], Effect],
     shapes: Callable[[Any], list[list[float]]],
@@ -236,27 +239,27 @@ def mended(
         from estimators.diagnosis.model.structure import Part
 
         s = base.structure if late else replace(base.structure, delay=0)
-        if s.layout != "tf" or s.effects or not channel.keep.all():
+        if s.layout != "tf" or s.effects or np.mean(channel.keep) < KEPT:
             return
+        shown = replace(channel, y=np.where(channel.keep, channel.y, channel.y - base.residual))
         found, e = [], effect()
 
         def tried(shape: list[float]) -> None:
-            got = undone(e, shape, channel)
+            got = undone(e, shape, shown)
             if got is None:
                 return
             there = replace(channel, y=got[0])
             p = fit_linear(there, s, rough=True).p if fitted else quickly_made(there, s)
             if p is not None:
-                rest = got[1] * (there.y - simulate(s, p, there.u, there.clock))
+                rest = (got[1] * (there.y - simulate(s, p, there.u, there.clock)))[channel.keep]
                 found.append((float(rest @ rest), shape, p))
 
-        for shape in shapes(channel):
+        for shape in shapes(shown):
             tried(shape)
-        if min((entry[0] for entry in found), default=np.inf) > NOTHING * float(
-            base.residual @ base.residual
-        ):
+        least = min((entry[0] for entry in found), default=np.inf)
+        if least > NOTHING * float(np.sum(base.residual[channel.keep] ** 2)):
             return
-        for shape in closer(channel, min(found, key=lambda entry: entry[0])[1]):
+        for shape in closer(shown, min(found, key=lambda entry: entry[0])[1]):
             tried(shape)
         part = Part(e, s.inputs[0])
         for _, shape, p in sorted(found, key=lambda entry: entry[0])[:2]:

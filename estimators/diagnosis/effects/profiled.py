@@ -4,8 +4,9 @@ Their likelihood has many minima over the shape, and poles that bent to imitate 
 of a grid has the linear part made anew before the shapes are compared.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -51,7 +52,7 @@ def _stairs(x: Any, p: Array, clock: Clock) -> Any:
     return p[1] + step * np.floor((x - p[1]) / step + 0.5)
 
 
-def _swaying(x: Any, p: Array, clock: Clock) -> Any:
+def swaying(x: Any, p: Array, clock: Clock) -> Any:
     if not LEAST_TURNS <= abs(p[0]) * clock.length / (2.0 * np.pi) <= 0.5 * clock.length:
         return 0.0 * x + np.inf
     first, wave, sway = (np.cos(p[0] * clock.k), np.sin(p[0] * clock.k)), (1.0, 0.0), 0.0
@@ -205,20 +206,20 @@ def _highest(gains: Array, count: int) -> Array:
     return at[np.argsort(-gains[at])[:count]]
 
 
-def rotating(channel: Any, base: Any, j: int, x: Array) -> list[Array]:
-    """What the residual has in common with the linear response at input j to a signal (N,) times a rotation, at all frequencies at
-    once: a transform of the signal times the residual run backwards through the model. Of the best, frequency and coefficients."""
+def rotating(channel: Any, base: Any, x: Array, passed: Callable[[Array], Array]) -> list[Array]:
+    """What the residual has in common with the linear response to a signal (N,) times a rotation, at all frequencies at once: a
+    transform of the signal times the residual run backwards through the model as `passed` is. Of the best, frequency and coefficients."""
     n, k, (r, Q) = len(channel), channel.clock.k, left_over(channel, base)
     pad = 8 * n
-    back = through(base, j, r[::-1])[::-1]
-    g = through(base, j, np.eye(1, n)[0])
+    back = passed(r[::-1])[::-1]
+    g = passed(np.eye(1, n)[0])
     auto = lambda x: np.fft.irfft(np.abs(np.fft.rfft(x, 2 * n)) ** 2)[:n]
     power = 2.0 * np.fft.rfft(auto(g) * auto(x), pad).real - auto(g)[0] * auto(x)[0]
     common = 2.0 * np.abs(np.fft.rfft(x * back, pad)) ** 2 / np.maximum(power, 1e-9 * power.max())
     common[: int(np.ceil(LEAST_TURNS * pad / n))] = 0.0
     found, least = [], FIRM
     for w in 2.0 * np.pi * _highest(common, 3) / pad:
-        D = through(base, j, x[:, None] * np.stack((np.cos(w * k), np.sin(w * k)), axis=1))
+        D = passed(x[:, None] * np.stack((np.cos(w * k), np.sin(w * k)), axis=1))
         D -= Q @ (Q.T @ D)
         c = np.linalg.lstsq(D, r, rcond=None)[0]
         promise = gained(base.n, float(r @ r), float(np.sum((r - D @ c) ** 2)))
@@ -236,13 +237,15 @@ def _beats(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     s, n = base.structure, len(channel)
     for j, u in entering(channel, base) if n >= 100 else ():
         part = Part(SWAY, j)
-        begun = [np.concatenate((base.p, shape)) for shape in rotating(channel, base, j, u)]
+        begun = [
+            np.concatenate((base.p, shape)) for shape in rotating(channel, base, u, partial(through, base, j))
+        ]
         starts = [q for p in begun for q in (p, *renewed(channel, s.adding(part), p))]
         for f in lean(channel, ended(channel, base, part, starts, [1.0 / n, 1.0, 1.0])):
-            yield from _waved(channel, f)
+            yield from waved(channel, f)
 
 
-def _waved(channel: Any, f: Any) -> Iterator[Any]:
+def waved(channel: Any, f: Any) -> Iterator[Any]:
     """A periodic gain, and one harmonic after the other until two of them gain too little: what is filled and emptied is no sine, and
     what is switched has every other one only."""
     from estimators.diagnosis.model.fitting import fit
@@ -377,7 +380,7 @@ STAIRS = Effect(
 WAVE = {"cosine": "1", "sine": "1"}
 SWAY = Effect(
     key="gain_periodic", cause="periodic_gain", nature=Nature.TIME, slot=Slot.INPUT, per_sample=True, family="drifts",
-    sentence="the gain changes periodically: (1 + a cos(w t) + b sin(w t)), with harmonics where there are some", apply=_swaying, search=_beats,
+    sentence="the gain changes periodically: (1 + a cos(w t) + b sin(w t)), with harmonics where there are some", apply=swaying, search=_beats,
     parameters={"frequency": "rad/sample"} | WAVE,
     shape=lambda size, order: [("frequency", "rad/sample"), *(numbered(WAVE, size) if size > 1 else WAVE.items())],
 )  # fmt: skip

@@ -314,7 +314,7 @@ def _breathing(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any
     quiet = replace(base, noise=np.zeros(0))
     position = np.sum([through(quiet, j, u) for j, u in entering(channel, base)], axis=0)
     gain = float(np.sum(base.p[s.order : s.order + s.taps]) / (1.0 + np.sum(base.p[: s.order])))
-    shapes = rotating(channel, base, s.inputs[0], position)
+    shapes = rotating(channel, base, position, partial(through, base, s.inputs[0]))
     for new, p, scales in layout_starts(channel, base) if shapes else ():
         if BREATH.fits(new.layout):
             f = fit(channel, new, p, scales, noise=base.noise, iterations=8, colour=False)

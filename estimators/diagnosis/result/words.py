@@ -33,6 +33,8 @@ PLAIN = {
     "growth": "power of its frequency that its size goes with", "sensor_paced.rate": "rate at the level", "sensor_paced.change": "relative change of the rate per unit of what it reads",
     "sensor_paced.level": "level at which the rate is stated", "rate_loaded.level": "load at which the rates are stated", "load": "number of the input that is the load",
     "flow": "number of the input that is the flow", "loss_heat.share": "relative change of the loss when hot", "heat": "warming per squared level",
+    "automatic_gain.share": "fall of the gain per size of late", "automatic_gain.power": "power of the gain's fall", "rises": "time constant as the size grows",
+    "falls": "time constant as the size shrinks", "automatic_gain.level": "level about which the size counts",
     "gain_heat.share": "relative change of the gain per squared input", "stiffness_heat.share": "relative change of the stiffness per squared input",
     "hysteresis.share": "share that bends off", "first": "bend at the lower end", "last": "bend at the upper end", "range": "range of the input's integral",
     "integral_curve.least": "least of the input's integral", "integral_curve.start": "input's integral before the start",
@@ -48,7 +50,7 @@ ORDINAL = {1: "st", 2: "nd", 3: "rd"}
 """Endings of the first ordinals; more than twenty parameters of a kind there are not."""
 TIME = {
     "sample": 1, "1/sample": -1, "u/sample": -1, "rad/sample": -1, "rad/sample^2": -2, "u sample": 1, "1/(u sample)": -1,
-    "u/(u/sample)^2": 2, "sample/u^2": 1, "sample/record": 1,
+    "u/(u/sample)^2": 2, "u/sample^2": -2, "sample/u^2": 1, "sample/record": 1,
 }  # fmt: skip
 """Power of the sampling time by which a number in this unit is brought to seconds."""
 

@@ -35,6 +35,36 @@ def slow_valve_seen(u, a):
     return _loop_of_limited_speed(u, a, True)
 
 
+def steered_ship(u, a):
+    """A ship that holds the course asked for: its rudder turns at no more than one rate, and its rate of turn is fed back."""
+    at, r, s, out, h = u[0], 0.0, 0.0, np.zeros(len(u)), 1.0 / FINE
+    for k, value in enumerate(u):
+        out[k] = at
+        for _ in range(FINE):
+            move = (0.8 * (value - at) - 8.0 * r - s) / 0.6
+            at, r, s = (
+                at + h * r,
+                r + h * 0.08 * (0.5 * s - r),
+                s + h * (np.clip(move, -0.03, 0.03) if a else move),
+            )
+    return out
+
+
+def compressed(u, a):
+    """A microphone behind a cavity, whose amplifier turns down quickly what is loud and up again slowly."""
+    y, size, out = linear(u), 0.0, np.empty(len(u))
+    for k, value in enumerate(y):
+        out[k] = value / (1.0 + 2.0 * a * size) ** 0.7
+        more = abs(value) - size
+        size += more * (1.0 - np.exp(-1.0 / (8.0 if more > 0.0 else 40.0)))
+    return out
+
+
+def beating(u, a):
+    """A bridge whose supply beats with the carrier of its amplifier."""
+    return linear(u) * (1.0 + 0.3 * a * np.sin(0.05 * np.arange(len(u)) + 1.0))
+
+
 def rollers(u, a):
     """A pump whose speed lags behind the input; its rollers pinch the hose once in a part of a turn."""
     v, angle, out = u[0], 0.0, np.zeros(len(u))
@@ -277,10 +307,14 @@ ALL_CLASSES = CLASSES | {
     "sweep_input": (beside_a_machine, 2, {}), "sensor_paced": (cups, 2, {}), "rate_loaded": (jack, 2, {"hold": 15, "inputs": 2}),
     "input_scanned": (scanned, 2, {}), "input_staged": (staged, 2, {}), "output_ranges": (ranged, 2, {}), "output_dead_band": (archived, 2, {}),
     "acts_since": (opened, 1, {"mean": 2.0, "inputs": 2}), "damping_settles": (leaking, 2, {}), "multiplexed of lags": (polled, 2, {}),
+    "rate_in_course": (steered_ship, 3, {"hold": 40, "size": 0.5}), "automatic_gain": (compressed, 2, {}), "output_gain_periodic": (beating, 2, {}),
 }  # fmt: skip
 
 ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     # effect, a record that looks like it and is not
+    ("rate_in_course", "rate_in_loop"), ("rate_in_course", "wind_up"), ("rate_in_loop", "rate_in_course"), ("rate_limit_servo", "rate_in_course"),
+    ("automatic_gain", "gain_heat"), ("automatic_gain", "output_ratio"), ("output_ratio", "automatic_gain"), ("gain_heat", "automatic_gain"),
+    ("output_gain_periodic", "gain_periodic"), ("gain_periodic", "output_gain_periodic"), ("output_gain_periodic", "delay_periodic"), ("automatic_gain", "output_gain_periodic"),
     ("multiplexed of lags", "interleaved"), ("interleaved", "multiplexed of lags"), ("damping_settles", "resonance_drift"), ("damping_settles", "gain_settles"), ("damping_settles", "loss_change"),
     ("acts_since", "gain_periodic"), ("acts_since", "relay"), ("acts_since", "inertia_drift"), ("acts_since", "capacity_filled"),
     ("input_staged", "plays"), ("relay", "input_staged"), ("output_ranges", "magnitude"), ("output_ranges", "output_cutoff"),

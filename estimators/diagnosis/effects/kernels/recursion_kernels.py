@@ -11,6 +11,8 @@ WITHIN = 8
 
 LEAST_LEFT = 0.02
 """Of a capacity at the start of a record, that is left of it however much has been drawn: what is empty has no time constant."""
+LEAST_GAIN = 0.01
+"""Of a sensor that is restored: one that shows less says nothing of its signal."""
 SETTLING = 100
 """Halved steps towards where a loss that its own power changes has settled: beyond any share that can be told."""
 
@@ -87,6 +89,34 @@ def unpaced(signal, rate, change):  # pragma: no cover - compiled
 
 
 @compiled
+def levelled(signal, share, power, rises, falls):  # pragma: no cover - compiled
+    """A signal over a power of 1 + share times its size of late, an average of other time constants as it rises and as it falls."""
+    out = np.empty_like(signal)
+    size, up, down = abs(signal[0]), 1.0 - np.exp(-1.0 / rises), 1.0 - np.exp(-1.0 / falls)
+    for k in range(signal.shape[0]):
+        out[k] = signal[k] * (1.0 + share * size) ** -power
+        more = abs(signal[k]) - size
+        size += (up if more > 0.0 else down) * more
+    return out
+
+
+@compiled
+def restored(signal, share, power, rises, falls):  # pragma: no cover - compiled
+    """The signal that was levelled so, and its gain."""
+    out, gain = np.empty_like(signal), np.empty_like(signal)
+    up, down = 1.0 - np.exp(-1.0 / rises), 1.0 - np.exp(-1.0 / falls)
+    size = abs(signal[0])
+    for _ in range(SETTLING):  # until it is the size that was levelled to what stands there
+        size = abs(signal[0]) / max((1.0 + share * size) ** -power, LEAST_GAIN)
+    for k in range(signal.shape[0]):
+        gain[k] = max((1.0 + share * size) ** -power, LEAST_GAIN)
+        out[k] = signal[k] / gain[k]
+        more = abs(out[k]) - size
+        size += (up if more > 0.0 else down) * more
+    return out, gain
+
+
+@compiled
 def unplayed(signal, widths, weights):  # pragma: no cover - compiled
     """The signal that has a given sum with its plays of positive weights: by bisection, as the sum grows with it."""
     out = np.empty_like(signal)
@@ -160,103 +190,13 @@ def servo_mean(signal, up, down, lag, start):  # pragma: no cover - compiled
 
 
 @compiled
-def _written(out, k, x):  # pragma: no cover - compiled
+def written(out, k, x):  # pragma: no cover - compiled
     """Whether a sample's value was written; where it has exploded, all from there on is infinite."""
     if not abs(x) < 1e100:
         out[k:] = np.inf
         return False
     out[k] = x
     return True
-
-
-@compiled
-def wound_up(signal, pace, proportional, integral, low, high, start):  # pragma: no cover - compiled
-    """What a first-order plant reaches by the end of each sample, whose actuator between two limits a PI controller moves after a
-    held set point; it has settled at `start`, or at the limit before it. Midpoint steps, `WITHIN` of them per sample.
-    """
-    out = np.empty_like(signal)
-    x = min(max(start, low), high)
-    i = x
-    h = 1.0 / WITHIN
-    for k in range(signal.shape[0]):
-        for _ in range(WITHIN):
-            e = signal[k] - x
-            middle = x + 0.5 * h * pace * (min(max(proportional * e + i, low), high) - x)
-            then = i + 0.5 * h * integral * e
-            e = signal[k] - middle
-            x += h * pace * (min(max(proportional * e + then, low), high) - middle)
-            i += h * integral * e
-        if not _written(out, k, x):
-            return out
-    return out
-
-
-@compiled
-def steered_loop(signal, p, start, which):  # pragma: no cover - compiled
-    """What a first-order plant (`which` 0) or the actuator before it (1) reaches by the end of each sample, where a PI controller
-    moves the actuator after a held set point: it nears its command with a lag, but no faster than one rate up, another down.
-
-    p: pace of the plant, proportional, integral, rate up, rate down, lag, and a lag between actuator and plant; settled at
-    `start`. `WITHIN` steps per sample, each with the command of its middle, the lags exact.
-    """
-    out = np.empty_like(signal)
-    x = start
-    z = start
-    i = start
-    s = start
-    h = 1.0 / WITHIN
-    pace, proportional, integral, lag = p[0], p[1], p[2], max(p[5], 1e-9)
-    still = np.exp(-pace * h)
-    stays = np.exp(-h / max(p[6], 1e-9))
-    near = np.exp(
-        -h / lag
-    )  # where no part of a step is at the full rate; where all of it is, nothing is left to near
-    for k in range(signal.shape[0]):
-        for _ in range(WITHIN):
-            e = signal[k] - x
-            middle = signal[k] - x - 0.5 * h * pace * (z - x)
-            gap = proportional * middle + i + 0.5 * h * integral * e - s
-            rate = p[3] if gap > 0.0 else p[4]
-            full = min(max(abs(gap) / rate - lag, 0.0), h)
-            left = abs(gap) - rate * full
-            if full == 0.0:
-                left *= near
-            elif full < h:
-                left *= np.exp(-(h - full) / lag)
-            move = abs(gap) - left
-            then = s + (move if gap > 0.0 else -move)
-            drive = z
-            z = 0.5 * (s + then) + (z - 0.5 * (s + then)) * stays
-            drive = 0.5 * (drive + z)
-            x = drive + (x - drive) * still
-            s = then
-            i += h * integral * middle
-        if not _written(out, k, x if which == 0 else s):
-            return out
-    return out
-
-
-@compiled
-def switched(signal, rate, push, share, low, high, start):  # pragma: no cover - compiled
-    """What a lag reaches by the end of each sample, x' = rate (u - x + s (push + share x)), while a relay is on, s = 1, which
-    switches on above `high` and off below `low`; off before, where it may be. Exact between the ends of `WITHIN` steps.
-    """
-    out = np.empty_like(signal)
-    on = start > high
-    x = (start + push) / (1.0 - share) if on and share < 1.0 else start
-    passive = np.exp(-rate / WITHIN)
-    active = np.exp(-rate * (1.0 - share) / WITHIN)
-    for k in range(signal.shape[0]):
-        for _ in range(WITHIN):
-            if on:
-                rest = (signal[k] + push) / (1.0 - share) if share != 1.0 else x
-                x = rest + (x - rest) * active
-            else:
-                x = signal[k] + (x - signal[k]) * passive
-            on = x > high or (on and x >= low)
-        if not _written(out, k, x):
-            return out
-    return out
 
 
 @compiled
@@ -279,7 +219,7 @@ def filled(signal, flow, p, lead):  # pragma: no cover - compiled
             stays = np.exp(-a * loss)
             x = x * stays + source * ((1.0 - stays) / loss if abs(a * loss) > 1e-9 else a)
             g = max(g + h * grows, LEAST_LEFT)
-        if not _written(out, k, x):
+        if not written(out, k, x):
             return out
     return out
 
@@ -333,7 +273,7 @@ def warmed(signal, rate, share, p, start):  # pragma: no cover - compiled
             b = 1.0 + share * (1.0 - np.exp(-p[0] * then))
             x += h * rate * (signal[k] - b * middle)
             s += h * p[1] * (b * middle * middle - then)
-        if not _written(out, k, x):
+        if not written(out, k, x):
             return out
     return out
 

@@ -1,6 +1,14 @@
 """Hidden loops between the input and the linear part, and what remembers there."""
 
-from estimators.diagnosis.effects.loops.limited import PACES, RELAY, STEERED, STEERING, WINDUP, slowest_rate
+from estimators.diagnosis.effects.loops.limited import (
+    COURSED,
+    PACES,
+    RELAY,
+    STEERED,
+    STEERING,
+    WINDUP,
+    slowest_rate,
+)
 from estimators.diagnosis.effects.loops.remembering import (
     PLAYED,
     SCANNED,
@@ -12,4 +20,4 @@ from estimators.diagnosis.effects.loops.remembering import (
 
 __all__ = ["LOOPS", "PACES", "play_widths", "slowest_rate"]
 
-LOOPS = (SCANNED, STICTION, WINDUP, STEERED, STEERING, RELAY, STAGED, SIDE_BY_SIDE, PLAYED)
+LOOPS = (SCANNED, STICTION, WINDUP, STEERED, STEERING, COURSED, RELAY, STAGED, SIDE_BY_SIDE, PLAYED)

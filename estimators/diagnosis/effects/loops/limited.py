@@ -6,6 +6,7 @@ short filter behind them.
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import combinations, product
 from typing import Any
 
@@ -53,7 +54,7 @@ PUSHES = (-0.6, -0.3, -0.15, 0.15, 0.3, 0.6)
 
 
 def _wound_up(x: Array, p: Array) -> Array:
-    from estimators.diagnosis.effects.kernels.recursion_kernels import wound_up
+    from estimators.diagnosis.effects.kernels.loop_kernels import wound_up
 
     pace, proportional, integral = (abs(float(v)) for v in p[:3])
     return wound_up(x, pace, proportional, integral, float(p[3]), float(p[4]), level_before(x))
@@ -61,7 +62,7 @@ def _wound_up(x: Array, p: Array) -> Array:
 
 def _steered(which: int) -> Any:
     def run(x: Array, p: Array) -> Array:
-        from estimators.diagnosis.effects.kernels.recursion_kernels import steered_loop
+        from estimators.diagnosis.effects.kernels.loop_kernels import steered_loop
 
         return steered_loop(x, np.maximum(np.abs(p), 1e-300), level_before(x), which)
 
@@ -69,7 +70,7 @@ def _steered(which: int) -> Any:
 
 
 def _switched(x: Array, p: Array) -> Array:
-    from estimators.diagnosis.effects.kernels.recursion_kernels import switched
+    from estimators.diagnosis.effects.kernels.loop_kernels import switched
 
     low, high = sorted((float(p[3]), float(p[4])))
     if not high - low > LEAST_GAP * float(np.ptp(x)):
@@ -97,11 +98,11 @@ def _controlled(slowest: float, u: Array) -> Iterator[list[float]]:
             yield [*loop, middle - wide * half, middle + wide * half]
 
 
-def _ramping(slowest: float, u: Array) -> Iterator[list[float]]:
+def _ramping(slowest: float, u: Array, course: bool = False) -> Iterator[list[float]]:
     """Actuators that need some part of the loop's time for what a step across the input's range asks for."""
     for w, loop in _loops(slowest):
         for time in TIMES:
-            rate = (1.0 + loop[1]) * float(np.ptp(u)) * w / time
+            rate = (loop[2] if course else 1.0 + loop[1]) * float(np.ptp(u)) * w / time
             yield [*loop, rate, rate, LAG, 0.0]
 
 
@@ -199,14 +200,16 @@ RELAY = Effect(
     search=_shaped(lambda: RELAY, _switching, lambda slowest, su: [slowest, su, 1.0, *[1e6 * CROSSED * su] * 2]),
 )  # fmt: skip
 
-STEERED, STEERING = (
+STEERED, STEERING, COURSED = (
     Effect(
         key=key, cause="rate_limiter", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=50, apply=_applied(_steered(which)), sentence=sentence,
-        parameters={"plant": "1/sample", "proportional": "1", "integral": "1/sample", "up": "u/sample", "down": "u/sample", "lag": "sample", "behind": "sample"},
-        search=_shaped(lambda which=which: (STEERED, STEERING)[which], _ramping, lambda slowest, su: [slowest, 1.0, slowest, slowest * su, slowest * su, 1.0, 0.0], NEAR),
+        parameters={"plant": "1/sample", "proportional": "1", "integral": "1/sample", "up": f"u/sample{unit}", "down": f"u/sample{unit}", "lag": "sample", "behind": "sample"},
+        search=_shaped(lambda which=which: (STEERED, STEERING, COURSED)[which], partial(_ramping, course=bool(unit)),
+                       lambda slowest, su, size=size: [slowest, 1.0, slowest, *[slowest**size * su] * 2, 1.0, 0.0], NEAR),
     )
-    for which, (key, sentence) in enumerate((
-        ("rate_in_loop", "a loop of its own follows the input, and its actuator moves no faster than one rate up and another down"),
-        ("rate_of_loop", "it is the actuator of a loop of its own that follows the input, and moves no faster than one rate up and another down"),
+    for which, (key, size, unit, sentence) in enumerate((
+        ("rate_in_loop", 1, "", "a loop of its own follows the input, and its actuator moves no faster than one rate up and another down"),
+        ("rate_of_loop", 1, "", "it is the actuator of a loop of its own that follows the input, and moves no faster than one rate up and another down"),
+        ("rate_in_course", 2, "^2", "a position, a course, follows the input in a loop of its own that its speed damps, and the actuator moves no faster than one rate up and another down"),
     ))
 )  # fmt: skip

@@ -79,13 +79,17 @@ def _centred(x: Array, p: Array) -> tuple[Array, float, float]:
     return np.ascontiguousarray(x - p[2]), abs(float(p[0])), float(p[1])
 
 
+def settled(x: Array, clock: Clock) -> Array:
+    """What a sensor has read: before the record that was its rest, not the way there from zero."""
+    if not 0 < clock.lead < len(x):
+        return x
+    return np.concatenate((np.full(clock.lead, x[clock.lead - 1]), x[clock.lead :]))
+
+
 def _paced(x: Array, p: Array, clock: Clock) -> Array:
-    """What came before the record was its rest, not the way there from zero, where it may hardly move."""
     from estimators.diagnosis.effects.kernels.recursion_kernels import paced
 
-    if 0 < clock.lead < len(x):
-        x = np.concatenate((np.full(clock.lead, x[clock.lead - 1]), x[clock.lead :]))
-    return paced(*_centred(x, p)) + p[2]
+    return paced(*_centred(settled(x, clock), p)) + p[2]
 
 
 def _unpaced(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from estimators.diagnosis.effects import named
 from estimators.diagnosis.effects.effect import Clock, Effect
 from estimators.diagnosis.effects.input import aside
+from estimators.diagnosis.effects.kernels.loop_kernels import COURSE
 from estimators.diagnosis.effects.kernels.recursion_kernels import LEAST_PACE, WITHIN, warm_rest
 from estimators.diagnosis.effects.loops import play_widths
 from estimators.diagnosis.effects.path import curve_of_charge
@@ -76,22 +77,28 @@ def _wound_up(w: Wiring, x: Any, p: Array) -> Any:
 def _steered(which: int) -> Callable[[Wiring, Any, Array], Any]:
     def steered(w: Wiring, x: Any, p: Array) -> Any:
         pace, proportional, integral, up, down, lag, behind = (max(abs(float(v)), 1e-9) for v in p)
-        state, h, fmin, fmax = w.state([w.value(x)] * 4), 1.0 / WITHIN, w.ca.fmin, w.ca.fmax
-        y, z, i, s = (state.x[j] for j in range(4))
+        start = w.value(x)
+        state = w.state([0.0, 0.0, 0.0, 0.0, start] if which == COURSE else [start] * 5)
+        h, fmin, fmax = 1.0 / WITHIN, w.ca.fmin, w.ca.fmax
+        y, z, i, s, at = (state.x[j] for j in range(5))
         stays, still = np.exp(-h / behind), np.exp(-h * pace)
         for _ in range(WITHIN):
             e = x - y
             middle = e - 0.5 * h * pace * (z - y)
             gap = proportional * middle + i + 0.5 * h * integral * e - s
+            if which == COURSE:
+                gap = integral * (x - at - 0.5 * h * y) + proportional * (middle - x) - s
             rate, size = w.ca.if_else(gap > 0.0, up, down), w.ca.fabs(gap)
             full = fmin(fmax(size / rate - lag, 0.0), h)
             left = (size - rate * full) * w.ca.exp(-(h - full) / lag)
             then = w.ca.if_else(gap > 0.0, s + size - left, s - size + left)
             drive, z = z, 0.5 * (s + then) + (z - 0.5 * (s + then)) * stays
             drive = 0.5 * (drive + z)
+            at = at + 0.5 * h * y
             y, s, i = drive + (y - drive) * still, then, i + h * integral * middle
-        state.after = w.ca.vertcat(y, z, i, s)
-        return s if which else y
+            at = at + 0.5 * h * y
+        state.after = w.ca.vertcat(y, z, i, s, at)
+        return (y, s, at)[which]
 
     return steered
 
@@ -210,13 +217,22 @@ def _line_from_origin(w: Wiring, x: Any, p: Array) -> Any:
     return _line(w, x, p) - _line(w, 0.0, p)
 
 
+def _levelled(w: Wiring, x: Any, p: Array) -> Any:
+    share, power, rises, falls = (abs(float(v)) for v in p[:4])
+    size, x = w.state(abs(w.value(x) - p[4])), x - p[4]
+    more = w.ca.fabs(x) - size.x
+    quick, slow = (1.0 - float(np.exp(-1.0 / max(t, 1e-3))) for t in (rises, falls))
+    size.after = size.x + w.ca.if_else(more > 0.0, quick, slow) * more
+    return x * (1.0 + share * size.x) ** -power + p[4]
+
+
 TWINS: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
     "plays": _side_by_side, "plays_output": _side_by_side,
     "backlash_input": lambda w, x, p: _play(w, x, abs(p[0]), p[1]), "backlash_sampled": lambda w, x, p: _play(w, x, abs(p[0])), "rate_limit": _servo(1), "rate_limit_sampled": _servo(0),
-    "rate_limit_servo": _servo(1), "wind_up": _wound_up, "relay_feedback": _switched, "rate_in_loop": _steered(0), "rate_of_loop": _steered(1),
+    "rate_limit_servo": _servo(1), "wind_up": _wound_up, "relay_feedback": _switched, "rate_in_loop": _steered(0), "rate_of_loop": _steered(1), "rate_in_course": _steered(COURSE),
     "gain_of_angle": _of_angle, "gain_fatigue": _used_up, "gain_worn": _worn, "loss_heat": _warmed, "stiction": _stiction, "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag,
     "gain_heat": _heated, "integral_curve": _store, "sandwich": _line, "input_lines": _line_from_origin,
-    "output_lines": _line_from_origin, "reported_on_change": _reported, "sensor_paced": _paced,
+    "output_lines": _line_from_origin, "reported_on_change": _reported, "sensor_paced": _paced, "automatic_gain": _levelled,
 }  # fmt: skip
 """Of the catalogue's effects that are no map of one sample and its time."""
 

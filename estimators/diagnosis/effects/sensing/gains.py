@@ -1,0 +1,94 @@
+"""Sensors whose gain changes: with a slow envelope of what they read, or periodically."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
+from estimators.diagnosis.effects.output import mended
+from estimators.diagnosis.effects.profiled import SWAY, ended, firm, rotating, swaying, waved
+from estimators.diagnosis.effects.sensing.sensors import settled
+
+Array = NDArray[Any]
+HELD = (5.0, 20.0, 80.0, 320.0)
+"""Samples of an envelope's time constant that are tried: quicker ones are a curve of the output, slower ones a drift of the gain."""
+LEFT = (0.7, 0.4, 0.15)
+"""Gains at the mean size of what is shown that are tried."""
+LEAST = 0.1
+"""Gain of a sensor from which on what it shows says what it reads: a periodic one may pass zero."""
+POWERS = (0.5, 1.0)
+"""By which the gain falls with the size, that are tried: it is told by what comes out, and by what goes in."""
+
+
+def _gain(x: Array, p: Array) -> tuple[Array, float, float, float, float]:
+    share, power, rises, falls = (abs(float(v)) for v in p[:4])
+    return np.ascontiguousarray(x - p[4]), share, power, max(rises, 1e-3), max(falls, 1e-3)
+
+
+def _levelled(x: Array, p: Array, clock: Clock) -> Array:
+    from estimators.diagnosis.effects.kernels.recursion_kernels import levelled
+
+    x = settled(x, clock)
+    return levelled(*_gain(x, p)) + p[4]
+
+
+def _restored(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array]:
+    """What was read before its gain was set, and how much of an error in it is seen."""
+    from estimators.diagnosis.effects.kernels.recursion_kernels import restored
+
+    x, through = restored(*_gain(channel.y, np.array(shape)))
+    return x + shape[4], through
+
+
+def _held_back(channel: Any) -> list[list[float]]:
+    middle = float(np.mean(channel.y))
+    size = float(np.mean(np.abs(channel.y - middle))) + 1e-300
+    times = [t for t in HELD if 10.0 * t < len(channel)]
+    return [
+        [(g ** (-1.0 / b) - 1.0) * g / size, b, t, t, middle] for t in times for b in POWERS for g in LEFT
+    ]
+
+
+def _closer(channel: Any, best: list[float]) -> list[list[float]]:
+    share, power, time, _, middle = best
+    factors = [
+        (f, g, h) for f in (0.8, 1.0, 1.25) for g, h in ((0.6, 0.6), (1.6, 1.6), (0.3, 1.5), (1.5, 0.3))
+    ]
+    return [[share * f, power, time * g, time * h, middle] for f, g, h in factors]
+
+
+LEVELLED = Effect(
+    key="automatic_gain", cause="automatic_gain", nature=Nature.DYNAMIC, slot=Slot.OUTPUT, memory=True, trials=50,
+    sentence="the sensor's gain falls as the mean size of what it has read of late grows: automatic gain control, a compressor",
+    parameters={"share": "1/y", "power": "1", "rises": "sample", "falls": "sample", "level": "y"}, apply=_levelled,
+    search=mended(lambda: LEVELLED, _held_back, _closer, lambda c: [1.0 / (float(np.std(c.y)) + 1e-300), 1.0, 10.0, 10.0, float(np.std(c.y))],
+                   _restored, fitted=True),
+)  # fmt: skip
+
+
+def _carried(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """At the frequencies that the residual has in common with what is read, with poles of the output once its gain is steady again."""
+    from estimators.diagnosis.model.linear import fit_linear
+    from estimators.diagnosis.model.structure import Part
+
+    s, n, whiten = base.structure, len(channel), np.concatenate(([1.0], base.noise))
+    if s.layout != "tf" or s.effects or n < 100 or not channel.keep.all():
+        return
+    starts: list[Array] = []
+    passed = lambda x: np.asarray(lfilter(whiten, [1.0], x, axis=0))
+    for shape in rotating(channel, base, channel.y - base.residual, passed):
+        steady = replace(channel, y=channel.y / np.maximum(swaying(np.ones(n), shape, channel.clock), LEAST))
+        starts += [np.append(p, shape) for p in (base.p, fit_linear(steady, s, rough=True).p)]
+    for f in ended(channel, base, Part(CARRIED), starts, [1.0 / n, 1.0, 1.0]):
+        if firm(base, float(np.sum(f.residual**2))):
+            yield from waved(channel, f)
+
+
+CARRIED = replace(
+    SWAY, key="output_gain_periodic", slot=Slot.OUTPUT, search=_carried,
+    sentence="the sensor's gain changes periodically: (1 + a cos(w t) + b sin(w t)), with harmonics where there are some",
+)  # fmt: skip
