@@ -35,16 +35,13 @@ HARMONIC = (0.5, 1.6)
 common with a wave over the input's levels has any size."""
 WHOLE = (0.85, 1.15, 61)
 """Steps that are tried with a level at zero, over the one found: from, to, how many."""
-SHORT = 3
-"""Poles of the model that a passing disturbance is put into: more of them would follow it."""
+SHORT = 3  # poles of the model that a passing disturbance is put into: more of them would follow it
 TIMES = 48
 """Of a record, at any two of which a disturbance may begin and end: what lasts no two of them is an impulse."""
-LEAST_TURNS = 1.2
-"""Of a gain in a record: fewer are a drift."""
+LEAST_TURNS = 1.2  # of a gain in a record: fewer are a drift
 WAVES, WAVED, REPEATS = 12, 20.0, 3.0
 """Harmonics of a periodic gain, what each must gain of Schwarz's criterion, and its turns in a record: less would be any function of time."""
-QUICK = 0.2
-"""Pole of the filter behind a process or a loop that its shapes are tried with."""
+QUICK = 0.2  # pole of the filter behind a process or a loop that its shapes are tried with
 
 
 def _stairs(x: Any, p: Array, clock: Clock) -> Any:
@@ -53,6 +50,7 @@ def _stairs(x: Any, p: Array, clock: Clock) -> Any:
 
 
 def swaying(x: Any, p: Array, clock: Clock) -> Any:
+    """A signal times a gain that changes periodically: its frequency, then the cosine's and sine's size of each harmonic."""
     if not LEAST_TURNS <= abs(p[0]) * clock.length / (2.0 * np.pi) <= 0.5 * clock.length:
         return 0.0 * x + np.inf
     first, wave, sway = (np.cos(p[0] * clock.k), np.sin(p[0] * clock.k)), (1.0, 0.0), 0.0

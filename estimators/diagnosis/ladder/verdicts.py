@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 from estimators.diagnosis.effects import CATALOGUE, Effect, Nature, Slot, named
 from estimators.diagnosis.ladder.claims import Claim
-from estimators.diagnosis.ladder.first_line import UNKNOWN, equations, headline, on_output
+from estimators.diagnosis.ladder.first_line import UNKNOWN, doubts, equations, headline, on_output
 from estimators.diagnosis.ladder.held_out import HeldOut
 from estimators.diagnosis.ladder.outcome import Outcome
 from estimators.diagnosis.ladder.stated import SETTLES, Contradiction
@@ -106,6 +106,8 @@ def verdict(
         if bare
         else UNCLAIMED
     )
+    rivals = _confusable(outcomes, chosen)
+    unsure = doubts(rivals, held.untried and not held.difference.low > 0.0)
     return {
         "detected": bool(found), "effect": chosen[0] if chosen else NONE,
         "variant": ", ".join(dict.fromkeys((*(_meanings(outcomes) if first else []), *(f.key for f in found if f.key)))),
@@ -114,10 +116,10 @@ def verdict(
         "p_value": min((f.p_value for f in found), default=1.0),
         "evidence": (*([UNCLAIMED] if withdrawn else []), *(f.sentence for f in found), *_dropped(outcomes, several, effects)),
         "parameters": {k: v for o in outcomes for k, v in _parameters(o, several).items()},
-        "confusable": _confusable(outcomes, chosen),
+        "confusable": rivals,
         "remaining": "; ".join(x.sentence + on_output(o, several) for o, rest in zip(outcomes, rests, strict=True) for x in rest[:3]),
         "refinements": tuple(dict.fromkeys(effects[key].cause for o in outcomes for key, _ in o.named.dropped)),
-        "system": f"{'; beside that, '.join(heads) if first else UNCLAIMED if withdrawn else echo}; {errors}",
+        "system": "; ".join([*(["; beside that, ".join(heads), *unsure] if first else [UNCLAIMED if withdrawn else echo]), errors]),
         "equation": "; ".join(equations(outcomes)),
         "floor_is_bound": any(map(bool, rests)) or any(_absorbing(o) for o in outcomes),
         "data": tuple(f.sentence for f in data), "explainable": _explainable(every),
