@@ -272,7 +272,7 @@ def _outcome(
     if rest is not None and not bench.echoes(rest.unused[0]):
         ladder = climb(y, steps := [*steps, rest], counted, setting.policy, least=least)
     make = lambda bare: _remainder_step(records, i, base, bare, share, setting)
-    rest = over_linear(ladder, share.high if share.explainable else 0.0, make, y, setting.policy)
+    rest = over_linear(ladder, share.predicted[1] if share.explainable else 0.0, make, y, setting.policy)
     if rest is not None and not bench.echoes(rest.unused[0]):
         ladder = climb(y, [*steps, rest], counted, setting.policy, least=least)
     # What the answer explains was no noise that an input answers.

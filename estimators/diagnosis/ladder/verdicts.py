@@ -214,7 +214,7 @@ def _predictable(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
     """
     if o.examined.signatures:
         return []
-    if o.bent and o.share.low > policy.searched[1]:
+    if o.bent and o.share.predicted[0] > policy.searched[1]:
         words = f"no model of it holds on unused blocks{tag}, but there is more than noise: {o.share.natures[0].sentence}"
         return [Finding("", UNKNOWN, o.share.nature, o.share.share, 0.0, words)]
     # in a loop a model may gain by hearing what the input knows of the noise

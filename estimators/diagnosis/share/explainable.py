@@ -5,12 +5,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline import Baseline
 from estimators.diagnosis.share.feedback import autoregression, delayed, has_feedback, whitened
-from estimators.diagnosis.share.news import NEWS, Predictor
+from estimators.diagnosis.share.interval import bounds
+from estimators.diagnosis.share.news import NEWS, Predictor, directions, sized
 from estimators.diagnosis.share.regression import Folds, Regression, folds_of
 from estimators.diagnosis.share.signals import Columns, bank_of, columns_of
+from estimators.residual.algebra import delayed as lagged
 from estimators.residual.algebra import mean_error
 from oed.covariances import NORMAL
 from oed.data import Record
@@ -52,8 +55,10 @@ class Evidence:
 class Share:
     """How much of one output's residual a fading-memory regression predicts on blocks that it did not see.
 
-    `share, low, high` of the residual's variance, with a 95 % interval over blocks; below zero where the
-    regression only harms; `by` variable -> what is lost of the share without it; `natures` the most probable
+    `share` of the residual's variance that is predicted there, below zero where the regression only harms; `low, high`
+    95 % interval of the share that can be explained, which is more than few samples and slow noise let a regression
+    predict: from 0 on where it may be nothing, wide where the record says little; `predicted` 95 % interval of
+    `share` itself, on which claims rest; `by` variable -> what is lost of the share without it; `natures` the most probable
     first; `noise_floor, noise_low, noise_high` root mean square of what nothing here explains: an upper bound
     of the noise, with its interval; `unused` per record (N,): the regression's prediction of the residual
     with the sample's block unused; NaN where no sample counts; `feedback` whether the input answers the
@@ -72,11 +77,12 @@ class Share:
     unused: tuple[Array, ...]
     feedback: bool = False
     news: float = np.inf
+    predicted: tuple[float, float] = (0.0, 0.0)
 
     @property
     def explainable(self) -> bool:
-        """Whether the interval leaves zero out, and it is news to a linear predictor: something other than noise is in it."""
-        return self.low > 0.0 and self.news > NEWS
+        """Whether what is predicted is surely above zero, and it is news to a linear predictor: something other than noise is in it."""
+        return self.predicted[0] > 0.0 and self.news > NEWS
 
     @property
     def nature(self) -> str:
@@ -86,7 +92,7 @@ class Share:
     @property
     def nothing(self) -> "Share":
         """The same of a residual in which only rounding is left."""
-        return replace(self, share=0.0, low=0.0, high=0.0, by={}, natures=())
+        return replace(self, share=0.0, low=0.0, high=0.0, by={}, natures=(), predicted=(0.0, 0.0))
 
 
 def _taken(target: Array, left: Array) -> float:
@@ -96,8 +102,7 @@ def _taken(target: Array, left: Array) -> float:
 
 
 def _interval(target: Array, left: Array) -> tuple[float, float, float]:
-    """The same with a 95 % interval, of squares that have a memory: it holds in .90 to .95 of records with inputs of their own, the least
-    where nothing is explainable and the noise is slow (a pole of .9, 600 samples)."""
+    """The same with a 95 % interval of what these fits predict, from squares that have a memory."""
     share = _taken(target, left)
     if not (base := float(np.mean(target**2))):
         return 0.0, 0.0, 0.0
@@ -120,14 +125,18 @@ def explainable_share(base: Baseline, records: Sequence[Record], output: int = 0
         values = [whitened(noise, v) for v in values]
     regression = Regression.of(values, residual, counts, folds)
     kinds, variables = np.array(tables[0].kinds), np.array(tables[0].variables)
-    alone = {nature: regression.unused(np.flatnonzero(np.isin(kinds, own))) for nature, own in ALONE.items()}
     everything = np.arange(len(kinds))
-    fits = [regression.unused(everything), *alone.values()]
+    groups = [everything, *(np.flatnonzero(np.isin(kinds, own)) for own in ALONE.values())]
+    whole, *each = (regression.unused(g) for g in groups)
+    alone = dict(zip(ALONE, each, strict=True))
+    fits = [whole, *each]
     best = min(fits, key=lambda f: float(np.mean((regression.target - f) ** 2)))
-    share, low, high = _interval(regression.target, regression.target - best)
+    share, *predicted = _interval(regression.target, regression.target - best)
+    gone = np.zeros((len(regression.target), 0)) if feedback else _taken_out(base, records, counts, output)
+    low, high = bounds(regression, groups, gone) if regression.target.any() else (0.0, 0.0)
     spread = np.std(np.concatenate([r.y[c, output] for r, c in zip(records, counts, strict=True)]))
     if np.std(regression.target) <= RESOLUTION * spread:
-        share = low = high = 0.0
+        share, low, high, predicted = 0.0, 0.0, 0.0, [0.0, 0.0]
     left = (regression.target - best) ** 2
     floor, error = float(left.mean()), NORMAL * mean_error(left)
     by = {
@@ -136,13 +145,52 @@ def explainable_share(base: Baseline, records: Sequence[Record], output: int = 0
         for v in dict.fromkeys(variables)
     }
     noise, least, most = (float(np.sqrt(max(x, 0.0))) for x in (floor, floor - error, floor + error))
-    natures = _ranked(regression.target, alone, NORMAL if feedback else 1.0) if low > 0 else ()
+    natures = _ranked(regression.target, alone, NORMAL if feedback else 1.0) if predicted[0] > 0 else ()
     unused, told = _spread(best, counts, folds), np.inf
-    if low > 0 and not feedback:  # there the shares are those of one-step predictions
+    if predicted[0] > 0 and not feedback:  # there the shares are those of one-step predictions
         told = Predictor.of(records, base.y_model, output, counts).news(
             [y[:, output] + x for y, x in zip(base.y_model, unused, strict=True)]
         )
-    return Share(share, low, high, by, natures, noise, least, most, unused, feedback, told)
+    return Share(
+        share,
+        low,
+        high,
+        by,
+        natures,
+        noise,
+        least,
+        most,
+        unused,
+        feedback,
+        told,
+        (predicted[0], predicted[1]),
+    )
+
+
+def _taken_out(
+    base: Baseline, records: Sequence[Record], counts: Sequence[NDArray[np.bool_]], output: int
+) -> Array:
+    """Orthonormal directions (M, k) in which the linear model's own fit leaves nothing: what its run does when a parameter moves."""
+    model, inputs = base.outputs[output].model, base.outputs[output].inputs
+    if model.radius >= 1.0:
+        return np.zeros((sum(int(c.sum()) for c in counts), 0))
+    tables = []
+    for r, y, own in zip(records, base.y_model, counts, strict=True):
+        pulses = np.zeros((len(r), model.order))
+        np.fill_diagonal(pulses, 1.0)
+        columns = [y[:, [output]]] * model.order
+        columns = [lagged(x, [k + 1]) for k, x in enumerate(columns)] + [pulses]
+        columns += [
+            lagged(r.u[:, [j]], np.flatnonzero(row))
+            for j, row in zip(inputs, model.num, strict=True)
+            if row.any()
+        ]
+        tables.append(
+            np.hstack(
+                (np.ones((len(r), 1)), np.asarray(lfilter([1.0], model.den, np.hstack(columns), axis=0)))
+            )[own]
+        )
+    return directions(sized(np.concatenate(tables)))
 
 
 def _columns(base: Baseline, records: list[Record], output: int) -> list[Columns]:

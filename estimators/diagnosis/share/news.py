@@ -74,8 +74,8 @@ class Predictor:
             rows.append(use & begun & np.isfinite(table).all(axis=1))
             tables.append(table[rows[-1]])
         columns = np.concatenate(tables)
-        columns = _sized(columns - columns.mean(axis=0))
-        basis = _directions(np.column_stack((np.ones(len(columns)), columns)))
+        columns = sized(columns - columns.mean(axis=0))
+        basis = directions(np.column_stack((np.ones(len(columns)), columns)))
         measured = tuple(np.nan_to_num(r.y[:, output]) for r in records)
         target = np.concatenate([y[k] for y, k in zip(measured, rows, strict=True)])
         left = target - basis @ (basis.T @ target)
@@ -84,8 +84,8 @@ class Predictor:
     def beside(self, signals: Sequence[Array]) -> Predictor:
         """The same that knows the last samples of a signal (N,) of each record too."""
         tables = [delayed(x[:, None], range(OWN)) for x in signals]
-        more = _sized(np.concatenate([t[k] for t, k in zip(tables, self.rows, strict=True)]))
-        more = _directions(more - self.basis @ (self.basis.T @ more), float(np.sqrt(len(more))))
+        more = sized(np.concatenate([t[k] for t, k in zip(tables, self.rows, strict=True)]))
+        more = directions(more - self.basis @ (self.basis.T @ more), float(np.sqrt(len(more))))
         basis, left = np.hstack((self.basis, more)), self.left - more @ (more.T @ self.left)
         return replace(self, basis=basis, left=left)
 
@@ -127,13 +127,13 @@ def _by_chance(first: Array, second: Array) -> float:
     return float(np.sqrt(max(float(a @ b), 0.0) / len(first)))
 
 
-def _sized(columns: Array) -> Array:
+def sized(columns: Array) -> Array:
     """The columns (M, p) at mean squares of one."""
     size = np.sqrt(np.mean(columns**2, axis=0))
     return columns / np.where(size > 0, size, 1.0)
 
 
-def _directions(columns: Array, whole: float = 0.0) -> Array:
+def directions(columns: Array, whole: float = 0.0) -> Array:
     """(M, p) orthonormal directions of columns, but for what is rounding beside the largest of them or beside a `whole`."""
     basis, values, _ = thin_svd(columns)
     return basis[:, values > SINGULAR * max(values[0], whole)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,17 +86,51 @@ class Regression:
 
     def unused(self, which: NDArray[np.int64]) -> Array:
         """(M,) prediction of every sample by a fit without its fold, at the penalty that predicts best."""
+        return min(self.predictions(which), key=lambda out: float(np.mean((self.target - out) ** 2)))
+
+    def predictions(self, which: NDArray[np.int64]) -> Iterator[Array]:
+        """(M,) predictions of every sample by a fit without its fold, penalty by penalty."""
         p = len(self.columns[0])
         rows = np.append(which, p)
-        best, least = np.zeros(len(self.target)), np.inf
         for penalty in PENALTIES:
             out = np.empty(len(self.target))
             for may, held, gram in zip(self.use, self.held, self.grams, strict=True):
-                left = gram[np.ix_(rows, rows)].copy()  # pyright: ignore[reportCallIssue]
-                left[np.arange(len(which)), np.arange(len(which))] += penalty * may.sum()
-                weights = np.linalg.solve(left, gram[rows, -1])
+                weights = np.linalg.solve(_penalised(gram, rows, penalty * may.sum()), gram[rows, -1])
                 out[held] = self.columns[np.ix_(held, which)] @ weights[:-1] + weights[-1]  # pyright: ignore[reportCallIssue]
-            error = float(np.mean((self.target - out) ** 2))
-            if error < least:
-                best, least = out, error
-        return best
+            yield out
+
+    def errors_of(self, groups: Sequence[NDArray[np.int64]], first: Array, second: Array) -> Iterator[Array]:
+        """(3, B) sums of squares and products of what fits without its fold leave of signals (M, B) in pairs, by group and penalty."""
+        whole = np.column_stack((self.columns, np.ones(len(self.columns))))
+        both, n = np.concatenate((first, second), axis=1), first.shape[1]
+        parts = []
+        for may, held, gram in zip(self.use, self.held, self.grams, strict=True):
+            own, x = whole[held], both[held]
+            parts.append(
+                (may.sum(), gram, whole[may].T @ both[may], own.T @ own, own.T @ x, _products(x, x, n))
+            )
+        for which in groups:
+            rows = np.append(which, whole.shape[1] - 1)
+            for penalty in PENALTIES:
+                squares = np.zeros((3, n))
+                for count, gram, seen, own, cross, power in parts:
+                    W = np.linalg.solve(_penalised(gram, rows, penalty * count), seen[rows])
+                    left = own[np.ix_(rows, rows)] @ W - cross[rows]
+                    # |x - Z W|^2 = |x|^2 + W' (Z'Z W - Z'x) - W' Z'x, of pairs the symmetric half of it
+                    squares += power + _products(W, left, n) - _products(W, cross[rows], n)
+                yield squares
+
+
+def _penalised(gram: Array, rows: NDArray[np.int64], penalty: float) -> Array:
+    """The rows and columns of a Gram matrix with a penalty on all but the last of them, the constant."""
+    left = gram[np.ix_(rows, rows)].copy()  # pyright: ignore[reportCallIssue]
+    own = np.arange(len(rows) - 1)
+    left[own, own] += penalty
+    return left
+
+
+def _products(a: Array, b: Array, n: int) -> Array:
+    """(3, n) of two (., 2 n): first by first, first by second, second by second, the middle one symmetric."""
+    one, two = slice(None, n), slice(n, None)
+    dot = lambda i, j: np.einsum("ij,ij->j", a[:, i], b[:, j])
+    return np.stack([dot(one, one), 0.5 * (dot(one, two) + dot(two, one)), dot(two, two)])
