@@ -240,7 +240,8 @@ def _least(trials: Sequence[Trial]) -> float:
 def _without_tones(search: Search, trial: Trial) -> tuple[list[float], Sequence[Record]]:
     """Angular frequencies of the tones in the residual of a model, and the records without them.
 
-    In each block the tones are those of the other blocks, so that an error on unused blocks counts how far they foretell.
+    In each block the tones, and the level that what is no sine has, are those of the other blocks, so that an error on unused blocks
+    counts how far they foretell.
     """
     records, i, model = search.records, search.output, trial.candidate.models[-1]
     slowest = 2.0 * np.pi / min(b.stop - b.start for b in search.blocks.blocks)  # slower ones are slow noise
@@ -252,7 +253,7 @@ def _without_tones(search: Search, trial: Trial) -> tuple[list[float], Sequence[
         y, found = r.y.copy(), [w for w in found if w > slowest]
         for b in search.blocks.blocks:
             if found and b.record == k:
-                y[b.rows, i] -= foretold(r.y[:, i] - run, waves(found, len(r)), slice(1, None), b.rows)
+                y[b.rows, i] -= foretold(r.y[:, i] - run, waves(found, len(r)), slice(0, None), b.rows)
         clean.append(r.replace(y=y) if found else r)
         lines += found
     return sorted(set(lines)), clean if lines else records

@@ -352,6 +352,21 @@ def test_a_day_recurs_in_slow_noise_where_no_line_stands_out():
     assert false <= 1
 
 
+def test_waves_that_are_set_aside_have_a_level_of_their_own():
+    """The sun on a house, its signals deviations, half a sine in every day: its mean had been left, and an integrator stood for it."""
+    rng = np.random.default_rng(4)
+    k, steps = (
+        np.arange(1000),
+        np.repeat(4.0 * np.round(2.5 * np.sin(0.4 * np.arange(50)) + rng.standard_normal(50)), 20),
+    )
+    sun = 8.0 * np.maximum(0.0, np.sin(2 * np.pi * k / 144 + 6.1))
+    u = np.concatenate((np.zeros(15), steps[:-15]))
+    y = lfilter([0.0, 0.05], [1.0, -1.75, 0.7625], u + sun) + 0.1 * rng.standard_normal(1000)
+    base = best_linear([Record(u, y)], Options(deviations=True))
+    assert max(p.radius for p in base.poles()) < 0.98
+    assert len(base.outputs[0].tones) >= 2
+
+
 def test_two_light_modes_beside_each_other_are_dynamics_and_no_tones():
     """In noise of 4 %, ARX of ten lags knows neither; what it leaves is two lines, which the input drives."""
     rng = np.random.default_rng(12)
