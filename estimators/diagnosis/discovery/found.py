@@ -37,14 +37,16 @@ class FoundTerm:
     same_as: str
     parameters: dict[str, tuple[float, float, str]]
     curve: Curve
-    # squares of the outputs (in their spreads) that its curve moves beyond a linear model, by term
+    # squares of the outputs (in their spreads) that its curve moves beyond a linear model, by term; whether the joint fit tells a
+    # coefficient of it from nothing, or others are the same curve
     weight: float = 0.0
+    sure: bool = True
 
 
 def strongest_first(terms: Sequence[FoundTerm], bent: Array) -> list[FoundTerm]:
     """Terms with their weights, the heaviest first; `bent` (samples, terms) is what each moves beyond a linear model.
 
-    Terms of the same signal and meaning are one curve and share its weight: two may nearly cancel.
+    Terms of the same signal and meaning are one curve and share its weight: two may nearly cancel, each unsure beside the other.
     """
     out = []
     for t in terms:
@@ -54,7 +56,7 @@ def strongest_first(terms: Sequence[FoundTerm], bent: Array) -> list[FoundTerm]:
             if (q.slot, q.output, q.meaning, q.curve.signal) == (t.slot, t.output, t.meaning, t.curve.signal)
         ]
         power = float(np.sum(np.sum(bent[:, alike], axis=1) ** 2))
-        out.append(replace(t, weight=power / len(alike)))
+        out.append(replace(t, weight=power / len(alike), sure=t.sure or len(alike) > 1))
     return sorted(out, key=lambda t: -t.weight)
 
 

@@ -38,6 +38,7 @@ from estimators.diagnosis.discovery.wording import (
     term_text,
 )
 from estimators.diagnosis.effects.plant import SWINGS
+from oed.covariances import NORMAL
 from oed.data import Record
 
 Array = NDArray[Any]
@@ -223,6 +224,7 @@ class DiscoveredModel:
                     "position_damping" if damps else same_as(term, swings),
                     self._parameters(number, term, taps, unit),
                     curve,
+                    sure=any(abs(value) > NORMAL * off for value, off in taps.values()),
                 )
             )
         return self._renamed(out)

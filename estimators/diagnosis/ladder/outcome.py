@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from estimators.diagnosis.discovery import Discovery
 from estimators.diagnosis.discovery.found import leading_nature
 from estimators.diagnosis.effects import Nature
-from estimators.diagnosis.ladder.claims import Named
+from estimators.diagnosis.ladder.claims import Claim, Named
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step
 from estimators.diagnosis.model.fitting import ar_model, innovations
 from estimators.diagnosis.model.forces import effective_samples
@@ -17,6 +18,7 @@ from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.search.examination import Examined
 from estimators.diagnosis.search.named import CLOCKED, INDEPENDENT
 from estimators.diagnosis.share import Share
+from oed.covariances import NORMAL
 
 FAILED = "its run on the test record is no answer"
 UNSURE = "unused blocks are not surely better with it"
@@ -137,6 +139,22 @@ class Outcome:
         alike = RESTORING if cause in RESTORING else {cause}
         told = nature != Nature.DYNAMIC or bool(alike & found)
         return told and (nature == self.discovered or self.weighs(nature))
+
+    def _blank(self, key: str) -> bool:
+        """Whether no parameter of a named effect is told from nothing in the final joint fit."""
+        steps = [r.step for r in self.ladder.rungs if r.step.kind is Kind.NAMED]
+        own = [row for s in steps for k, row in s.parameters.items() if k.startswith(f"{key}.")]
+        return bool(own) and all(abs(value) <= NORMAL * error for value, error, _ in own)
+
+    @property
+    def claims(self) -> Sequence[Claim]:
+        """The claims of which a parameter is told from nothing; all where none is."""
+        return [c for c in self.named.claims if not self._blank(c.key)] or self.named.claims
+
+    def unsure(self, key: str, cause: str) -> bool:
+        """Whether neither a named effect nor any of the discovered terms of its cause is told from nothing in its joint fit."""
+        terms = [t.sure for t in self.discovery.terms if t.output == self.index and t.same_as == cause]
+        return self._blank(key) and not any(terms)
 
     def weighs(self, nature: str) -> bool:
         """Whether the discovered terms of a nature have some of their weight."""

@@ -164,13 +164,13 @@ def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
     mine = [t for t in o.discovery.terms if t.output == o.index]
     if Kind.DISCOVERED in kinds and mine:
         words = f"blocks not used are simulated with {_percent(o):.3g} % less error with the terms{tag}: {o.discovery.equation}"
-        agreed = [f for f in claimed if o.agrees(f.nature, f.cause)]
+        agreed = [f for f in claimed if o.agrees(f.nature, f.cause) and not o.unsure(f.key, f.cause)]
         doubted = o.weighs(o.share.nature) and o.behind(agreed[0].nature) if agreed else True
         if not doubted and o.named_carries(policy, agreed=True):
             return [*agreed, Finding("", agreed[0].cause, agreed[0].nature, 0.0, 0.0, words)]
         kind = o.share.nature if o.share.explainable and o.weighs(o.share.nature) else o.discovered
         heavy = [t for t in mine if t.weight >= HEAVY * mine[0].weight and t.nature == kind]
-        cause = next((t.same_as for t in heavy[:1] if t.same_as), UNKNOWN)
+        cause = next((t.same_as for t in heavy[:1] if t.same_as and t.sure), UNKNOWN)
         return [Finding("", cause, kind, weight, 0.0, words)] + [
             Finding("", t.same_as, t.nature, 0.1 * weight / (2 + k), 0.0, f"{t.meaning}{tag}: {t.text}")
             for k, t in enumerate(mine[1:]) if t.same_as and t.same_as != cause
@@ -251,7 +251,7 @@ def _claimed(o: Outcome, tag: str) -> list[Finding]:
             f"{c.part.effect.sentence}{tag}: the error on unused blocks is {100 * c.gain.share:.3g} % less with it, "
             f"corrected {p_stated(c.p_value)}{_assumed(o, c.key)}{_or(c)}",
         )
-        for c in o.named.claims
+        for c in o.claims
     ]  # fmt: skip
 
 

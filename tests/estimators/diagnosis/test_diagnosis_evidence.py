@@ -232,6 +232,10 @@ def test_terms_that_nearly_cancel_are_as_strong_as_they_are_together() -> None:
     assert leading_nature(found) == "static"
     found = strongest_first(terms, np.stack([slope, 0.1 * slope, slope], axis=1))
     assert leading_nature(found) == "dynamic nonlinearity"  # neither has most of it
+    # each may be unsure only because the other is the same curve
+    unsure = [replace(t, sure=False) for t in terms]
+    found = strongest_first(unsure, np.stack([slope, 0.1 * slope, slope], axis=1))
+    assert {t.text: t.sure for t in found} == {"a": True, "b": True, "c": False}
 
 
 @pytest.mark.slow

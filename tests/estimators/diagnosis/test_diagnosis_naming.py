@@ -221,6 +221,33 @@ def test_a_name_is_not_given_where_causes_of_another_place_explain_as_much(
     assert not o.gainsaid("c")  # of a nature that no regression looks for it says nothing
 
 
+def test_what_the_joint_fit_does_not_tell_from_nothing_is_not_claimed_beside_what_it_does():
+    """An aerodynamic pendulum: "bilinear", beta = .035 +- .098, had stood before the propeller's curve."""
+
+    def outcome(beta: float, sure: bool) -> Outcome:
+        rows = {
+            "bilinear.beta": (beta, 0.098, "1/u"),
+            "input_quadratic.c2": (0.3, 0.02, "1/u"),
+            "bilinear_2.x": (9.0, 1.0, ""),
+        }
+        steps = [SimpleNamespace(step=SimpleNamespace(kind=Kind.NAMED, parameters=rows))]
+        claims = [SimpleNamespace(key="bilinear"), SimpleNamespace(key="input_quadratic")]
+        terms = [SimpleNamespace(output=0, same_as="bilinear", sure=sure)]
+        none: Any = None
+        parts: list[Any] = [
+            SimpleNamespace(claims=claims),
+            SimpleNamespace(rungs=steps),
+            SimpleNamespace(terms=terms),
+        ]
+        return Outcome(0, none, parts[0], parts[1], none, none, parts[2])
+
+    assert [c.key for c in outcome(0.035, False).claims] == ["input_quadratic"]
+    assert [c.key for c in outcome(0.35, False).claims] == ["bilinear", "input_quadratic"]
+    assert outcome(0.035, False).unsure("bilinear", "bilinear")
+    assert not outcome(0.035, True).unsure("bilinear", "bilinear")
+    assert not outcome(0.35, False).unsure("bilinear", "bilinear")
+
+
 @pytest.mark.parametrize("told", [True, False])
 def test_a_weak_claim_stands_first_where_its_nature_gainsays_the_others(told) -> None:
     fit = lambda left: SimpleNamespace(residual=np.array([left]))
