@@ -133,9 +133,10 @@ def explainable_share(base: Baseline, records: Sequence[Record], output: int = 0
     best = min(fits, key=lambda f: float(np.mean((regression.target - f) ** 2)))
     share, *predicted = _interval(regression.target, regression.target - best)
     gone = np.zeros((len(regression.target), 0)) if feedback else _taken_out(base, records, counts, output)
-    low, high = bounds(regression, groups, gone) if regression.target.any() else (0.0, 0.0)
     spread = np.std(np.concatenate([r.y[c, output] for r, c in zip(records, counts, strict=True)]))
-    if np.std(regression.target) <= RESOLUTION * spread:
+    if np.std(regression.target) > RESOLUTION * spread:
+        low, high = bounds(regression, groups, gone)
+    else:  # rounding alone is left, and its squares may be no numbers
         share, low, high, predicted = 0.0, 0.0, 0.0, [0.0, 0.0]
     left = (regression.target - best) ** 2
     floor, error = float(left.mean()), NORMAL * mean_error(left)
