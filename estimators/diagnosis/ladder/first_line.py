@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from estimators.diagnosis.effects import Effect
 from estimators.diagnosis.ladder.outcome import Outcome
-from estimators.diagnosis.ladder.steps import Kind, Step
+from estimators.diagnosis.ladder.steps import Kind, Step, parameters_of
 from estimators.diagnosis.result.words import named_plainly, spoken
 from oed.data import Record
 
@@ -89,7 +89,5 @@ def _known(o: Outcome, effect: str) -> dict[str, tuple[float, float, str]]:
 
 
 def _of(step: Step, effect: str) -> dict[str, tuple[float, float, str]]:
-    own = step.parameters.items()
-    return {
-        k: v for k, v in own if k.startswith(effect + ".") and not COEFFICIENT.fullmatch(k.rpartition(".")[2])
-    }
+    own = parameters_of(step, effect).items()
+    return {k: v for k, v in own if not COEFFICIENT.fullmatch(k.rpartition(".")[2])}

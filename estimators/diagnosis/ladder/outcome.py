@@ -11,7 +11,7 @@ from estimators.diagnosis.discovery import Discovery
 from estimators.diagnosis.discovery.found import leading_nature
 from estimators.diagnosis.effects import Nature
 from estimators.diagnosis.ladder.claims import Claim, Named
-from estimators.diagnosis.ladder.steps import Kind, Ladder, Step
+from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, parameters_of
 from estimators.diagnosis.model.fitting import ar_model, innovations
 from estimators.diagnosis.model.forces import effective_samples
 from estimators.diagnosis.policy import Policy
@@ -143,7 +143,7 @@ class Outcome:
     def _blank(self, key: str) -> bool:
         """Whether no parameter of a named effect is told from nothing in the final joint fit."""
         steps = [r.step for r in self.ladder.rungs if r.step.kind is Kind.NAMED]
-        own = [row for s in steps for k, row in s.parameters.items() if k.startswith(f"{key}.")]
+        own = [row for s in steps for row in parameters_of(s, key).values()]
         return bool(own) and all(abs(value) <= NORMAL * error for value, error, _ in own)
 
     @property

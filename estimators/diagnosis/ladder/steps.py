@@ -98,6 +98,11 @@ class Step:
         return (self, *(self.below.chain if self.below is not None else ()))
 
 
+def parameters_of(step: Step, effect: str) -> dict[str, tuple[float, float, str]]:
+    """The parameters of a step that are an effect's, by its key."""
+    return {k: v for k, v in step.parameters.items() if k.startswith(f"{effect}.")}
+
+
 @dataclass(frozen=True)
 class Gain:
     """By how much the mean squared error falls from one model to another, with its standard error by pieces."""

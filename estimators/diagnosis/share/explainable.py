@@ -127,22 +127,23 @@ def explainable_share(base: Baseline, records: Sequence[Record], output: int = 0
     kinds, variables = np.array(tables[0].kinds), np.array(tables[0].variables)
     everything = np.arange(len(kinds))
     groups = [everything, *(np.flatnonzero(np.isin(kinds, own)) for own in ALONE.values())]
-    whole, *each = (regression.unused(g) for g in groups)
-    alone = dict(zip(ALONE, each, strict=True))
-    fits = [whole, *each]
-    best = min(fits, key=lambda f: float(np.mean((regression.target - f) ** 2)))
+    fits = [regression.unused(g) for g in groups]
+    alone = dict(zip(ALONE, (f.predicted for f in fits[1:]), strict=True))
+    best = min(fits, key=lambda f: f.error).predicted
     share, *predicted = _interval(regression.target, regression.target - best)
-    gone = np.zeros((len(regression.target), 0)) if feedback else _taken_out(base, records, counts, output)
     spread = np.std(np.concatenate([r.y[c, output] for r, c in zip(records, counts, strict=True)]))
     if np.std(regression.target) > RESOLUTION * spread:
-        low, high = bounds(regression, groups, gone)
+        gone = np.zeros((len(best), 0)) if feedback else _taken_out(base, records, counts, output)
+        low, high = bounds(regression, fits, gone)
     else:  # rounding alone is left, and its squares may be no numbers
         share, low, high, predicted = 0.0, 0.0, 0.0, [0.0, 0.0]
     left = (regression.target - best) ** 2
     floor, error = float(left.mean()), NORMAL * mean_error(left)
     by = {
         str(v): share
-        - _taken(regression.target, regression.target - regression.unused(everything[variables != v]))
+        - _taken(
+            regression.target, regression.target - regression.unused(everything[variables != v]).predicted
+        )
         for v in dict.fromkeys(variables)
     }
     noise, least, most = (float(np.sqrt(max(x, 0.0))) for x in (floor, floor - error, floor + error))
@@ -153,19 +154,8 @@ def explainable_share(base: Baseline, records: Sequence[Record], output: int = 0
             [y[:, output] + x for y, x in zip(base.y_model, unused, strict=True)]
         )
     return Share(
-        share,
-        low,
-        high,
-        by,
-        natures,
-        noise,
-        least,
-        most,
-        unused,
-        feedback,
-        told,
-        (predicted[0], predicted[1]),
-    )
+        share, low, high, by, natures, noise, least, most, unused, feedback, told, (predicted[0], predicted[1])
+    )  # fmt: skip
 
 
 def _taken_out(
@@ -177,20 +167,15 @@ def _taken_out(
         return np.zeros((sum(int(c.sum()) for c in counts), 0))
     tables = []
     for r, y, own in zip(records, base.y_model, counts, strict=True):
-        pulses = np.zeros((len(r), model.order))
-        np.fill_diagonal(pulses, 1.0)
-        columns = [y[:, [output]]] * model.order
-        columns = [lagged(x, [k + 1]) for k, x in enumerate(columns)] + [pulses]
+        columns = [np.eye(len(r), model.order)]
+        columns += [lagged(y[:, [output]], range(1, model.order + 1))] if model.order else []
         columns += [
             lagged(r.u[:, [j]], np.flatnonzero(row))
             for j, row in zip(inputs, model.num, strict=True)
             if row.any()
         ]
-        tables.append(
-            np.hstack(
-                (np.ones((len(r), 1)), np.asarray(lfilter([1.0], model.den, np.hstack(columns), axis=0)))
-            )[own]
-        )
+        moved = np.asarray(lfilter([1.0], model.den, np.hstack(columns), axis=0))
+        tables.append(np.column_stack((np.ones(len(r)), moved))[own])
     return directions(sized(np.concatenate(tables)))
 
 

@@ -8,14 +8,13 @@ measured again: inputs and blocks are the record's own.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.special import stdtrit
 
-from estimators.diagnosis.share.regression import PENALTIES, Regression
+from estimators.diagnosis.share.regression import PENALTIES, Choice, Regression
 from estimators.residual.algebra import FEWEST, INDEPENDENT, autoregressions, noise_filter
 
 Array = NDArray[np.float64]
@@ -32,26 +31,17 @@ ROUNDING = 1e-9
 """Size of a direction, of the largest's, below which it is rounding."""
 
 
-@dataclass(frozen=True, eq=False)
-class Choice:
-    """The regression that was chosen: `which` columns, `penalty` the index of its own, `predicted` (M,) on unused blocks."""
-
-    which: NDArray[np.int64]
-    penalty: int
-    predicted: Array
-
-
-def bounds(regression: Regression, groups: Sequence[NDArray[np.int64]], taken: Array) -> tuple[float, float]:
-    """Least and largest share that can be explained, at 95 %: groups of columns that were tried, and orthonormal directions (M, k) which
-    the linear model has taken out of the residual."""
+def bounds(regression: Regression, fits: Sequence[Choice], taken: Array) -> tuple[float, float]:
+    """Least and largest share that can be explained, at 95 %: the fits of all groups of columns that were tried, and orthonormal
+    directions (M, k) which the linear model has taken out of the residual."""
     target, count = regression.target, len(regression.target)
-    chosen = _chosen(regression, groups)
+    chosen, groups = min(fits, key=lambda fit: fit.error), [fit.which for fit in fits]
     left = target - chosen.predicted
-    share = 1.0 - float(np.mean(left**2)) / float(np.mean(target**2))
+    share = 1.0 - chosen.error / float(np.mean(target**2))
     noise = noise_filter([left - left.mean()])
     free = lambda x: x - taken @ (taken.T @ x)
     drawn = _drawn(noise, count, free)
-    signal, size = _signals(regression, chosen, drawn * float(np.sqrt(np.mean(left**2))))
+    signal, size = _signals(regression, chosen, drawn * float(np.sqrt(chosen.error)))
     # Of few independent values the memory is known badly too, which moves all draws at once.
     width = float(stdtrit(max(FEWEST, count * _independent(noise) / INDEPENDENT), 0.975))
     drawn = free(drawn)
@@ -63,15 +53,6 @@ def bounds(regression: Regression, groups: Sequence[NDArray[np.int64]], taken: A
     low = _crossing(shares, off[0], -width)
     high = _crossing(shares, off[1], width)
     return min(low, max(share, 0.0)), max(high, share, 0.0)
-
-
-def _chosen(regression: Regression, groups: Sequence[NDArray[np.int64]]) -> Choice:
-    best, least = Choice(groups[0], 0, np.zeros(len(regression.target))), np.inf
-    for which in groups:
-        for penalty, out in enumerate(regression.predictions(which)):
-            if (error := float(np.mean((regression.target - out) ** 2))) < least:
-                best, least = Choice(which, penalty, out), error
-    return best
 
 
 def _independent(noise: Array) -> float:

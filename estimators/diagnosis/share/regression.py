@@ -51,6 +51,16 @@ def folds_of(blocks: Blocks, halves: int = 2) -> Folds:
 
 
 @dataclass(frozen=True, eq=False)
+class Choice:
+    """Fits of `which` columns at one penalty, by its index, without each fold: `predicted` (M,) there, and its mean square `error`."""
+
+    which: NDArray[np.int64]
+    penalty: int
+    predicted: Array
+    error: float
+
+
+@dataclass(frozen=True, eq=False)
 class Regression:
     """Columns (M, p) and target (M,) of all samples that count, with the Gram matrix of each fold's samples."""
 
@@ -84,11 +94,13 @@ class Regression:
             grams.append(whole[may].T @ whole[may])
         return cls(X, r, use, held, grams)
 
-    def unused(self, which: NDArray[np.int64]) -> Array:
-        """(M,) prediction of every sample by a fit without its fold, at the penalty that predicts best."""
-        return min(self.predictions(which), key=lambda out: float(np.mean((self.target - out) ** 2)))
+    def unused(self, which: NDArray[np.int64]) -> Choice:
+        """The fits of some columns without each fold, at the penalty that predicts best."""
+        error = lambda out: float(np.mean((self.target - out) ** 2))
+        tried = (Choice(which, k, out, error(out)) for k, out in enumerate(self._predictions(which)))
+        return min(tried, key=lambda choice: choice.error)
 
-    def predictions(self, which: NDArray[np.int64]) -> Iterator[Array]:
+    def _predictions(self, which: NDArray[np.int64]) -> Iterator[Array]:
         """(M,) predictions of every sample by a fit without its fold, penalty by penalty."""
         p = len(self.columns[0])
         rows = np.append(which, p)

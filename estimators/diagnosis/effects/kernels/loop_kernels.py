@@ -57,9 +57,10 @@ def steered_loop(signal, p, start, which):  # pragma: no cover - compiled
         for _ in range(WITHIN):
             e = signal[k] - x
             middle = signal[k] - x - 0.5 * h * pace * (z - x)
-            gap = proportional * middle + i + 0.5 * h * integral * e - s
             if course:
                 gap = integral * (signal[k] - at - 0.5 * h * x) + proportional * (middle - signal[k]) - s
+            else:
+                gap = proportional * middle + i + 0.5 * h * integral * e - s
             rate = p[3] if gap > 0.0 else p[4]
             full = min(max(abs(gap) / rate - lag, 0.0), h)
             left = abs(gap) - rate * full

@@ -205,11 +205,11 @@ STEERED, STEERING, COURSED = (
         key=key, cause="rate_limiter", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=50, apply=_applied(_steered(which)), sentence=sentence,
         parameters={"plant": "1/sample", "proportional": "1", "integral": "1/sample", "up": f"u/sample{unit}", "down": f"u/sample{unit}", "lag": "sample", "behind": "sample"},
         search=_shaped(lambda which=which: (STEERED, STEERING, COURSED)[which], partial(_ramping, course=bool(unit)),
-                       lambda slowest, su, size=size: [slowest, 1.0, slowest, *[slowest**size * su] * 2, 1.0, 0.0], NEAR),
+                       lambda slowest, su, steep=1 + bool(unit): [slowest, 1.0, slowest, *[slowest**steep * su] * 2, 1.0, 0.0], NEAR),
     )
-    for which, (key, size, unit, sentence) in enumerate((
-        ("rate_in_loop", 1, "", "a loop of its own follows the input, and its actuator moves no faster than one rate up and another down"),
-        ("rate_of_loop", 1, "", "it is the actuator of a loop of its own that follows the input, and moves no faster than one rate up and another down"),
-        ("rate_in_course", 2, "^2", "a position, a course, follows the input in a loop of its own that its speed damps, and the actuator moves no faster than one rate up and another down"),
+    for which, (key, unit, sentence) in enumerate((
+        ("rate_in_loop", "", "a loop of its own follows the input, and its actuator moves no faster than one rate up and another down"),
+        ("rate_of_loop", "", "it is the actuator of a loop of its own that follows the input, and moves no faster than one rate up and another down"),
+        ("rate_in_course", "^2", "a position, a course, follows the input in a loop of its own that its speed damps, and the actuator moves no faster than one rate up and another down"),
     ))
 )  # fmt: skip

@@ -24,23 +24,23 @@ POWERS = (0.5, 1.0)
 """By which the gain falls with the size, that are tried: it is told by what comes out, and by what goes in."""
 
 
-def _gain(x: Array, p: Array) -> tuple[Array, float, float, float, float]:
+def law_of(p: Array) -> tuple[float, float, float, float]:
+    """Share, power and the two time constants of automatic gain, of any parameters that a search may ask for."""
     share, power, rises, falls = (abs(float(v)) for v in p[:4])
-    return np.ascontiguousarray(x - p[4]), share, power, max(rises, 1e-3), max(falls, 1e-3)
+    return share, power, max(rises, 1e-3), max(falls, 1e-3)
 
 
 def _levelled(x: Array, p: Array, clock: Clock) -> Array:
     from estimators.diagnosis.effects.kernels.recursion_kernels import levelled
 
-    x = settled(x, clock)
-    return levelled(*_gain(x, p)) + p[4]
+    return levelled(np.ascontiguousarray(settled(x, clock) - p[4]), *law_of(p)) + p[4]
 
 
 def _restored(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array]:
     """What was read before its gain was set, and how much of an error in it is seen."""
     from estimators.diagnosis.effects.kernels.recursion_kernels import restored
 
-    x, through = restored(*_gain(channel.y, np.array(shape)))
+    x, through = restored(np.ascontiguousarray(channel.y - shape[4]), *law_of(np.array(shape)))
     return x + shape[4], through
 
 

@@ -15,6 +15,7 @@ from estimators.diagnosis.effects.loops import play_widths
 from estimators.diagnosis.effects.path import curve_of_charge
 from estimators.diagnosis.effects.plant import MOST_WORN
 from estimators.diagnosis.effects.process import Passing
+from estimators.diagnosis.effects.sensing.gains import law_of
 from estimators.diagnosis.effects.sensing.turns import TOP
 from estimators.diagnosis.effects.symbols import terms
 from estimators.diagnosis.effects.symbols.wiring import Wiring
@@ -85,9 +86,10 @@ def _steered(which: int) -> Callable[[Wiring, Any, Array], Any]:
         for _ in range(WITHIN):
             e = x - y
             middle = e - 0.5 * h * pace * (z - y)
-            gap = proportional * middle + i + 0.5 * h * integral * e - s
             if which == COURSE:
                 gap = integral * (x - at - 0.5 * h * y) + proportional * (middle - x) - s
+            else:
+                gap = proportional * middle + i + 0.5 * h * integral * e - s
             rate, size = w.ca.if_else(gap > 0.0, up, down), w.ca.fabs(gap)
             full = fmin(fmax(size / rate - lag, 0.0), h)
             left = (size - rate * full) * w.ca.exp(-(h - full) / lag)
@@ -218,11 +220,11 @@ def _line_from_origin(w: Wiring, x: Any, p: Array) -> Any:
 
 
 def _levelled(w: Wiring, x: Any, p: Array) -> Any:
-    share, power, rises, falls = (abs(float(v)) for v in p[:4])
+    share, power, rises, falls = law_of(p)
     size, x = w.state(abs(w.value(x) - p[4])), x - p[4]
     more = w.ca.fabs(x) - size.x
-    quick, slow = (1.0 - float(np.exp(-1.0 / max(t, 1e-3))) for t in (rises, falls))
-    size.after = size.x + w.ca.if_else(more > 0.0, quick, slow) * more
+    up, down = (1.0 - float(np.exp(-1.0 / t)) for t in (rises, falls))
+    size.after = size.x + w.ca.if_else(more > 0.0, up, down) * more
     return x * (1.0 + share * size.x) ** -power + p[4]
 
 
