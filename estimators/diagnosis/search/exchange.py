@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline.linear_model import FAR
-from estimators.diagnosis.effects import Slot, named
+from estimators.diagnosis.effects import Effect, Slot, named
 from estimators.diagnosis.effects.input import DELAY
 from estimators.diagnosis.effects.path import LAG_BEFORE
 from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations
@@ -25,6 +25,9 @@ TREND = named("drift")
 KEEP = 6.0  # by which an effect must lower it to stay, as it had to when it came
 
 
+CURVES = 4
+"""Siblings of an effect that are fitted in its place, those whose scores promise most: families are smaller, curves of one cause are
+more, most of them alike where no effect has spoilt the scores."""
 IDLE = 0.01
 """Of the squared error, what a part must change of the run to do anything: where it does not, fits without a block stop where the
 fit to all began, and unused blocks seem to ask for it."""
@@ -94,6 +97,12 @@ def drifting(channel: Channel, f: Fit) -> Fit | None:
     return fit(channel, new, np.r_[f.p, np.zeros(more)], np.r_[f.scales, np.ones(more)], iterations=40)
 
 
+def akin(one: Effect, other: Effect) -> bool:
+    """Whether one effect may stand for another: of one family, or static curves of one cause."""
+    curves = one.static and other.static and one.cause == other.cause
+    return curves or (one.family != "" and one.family == other.family)
+
+
 def exchanged(channel: Channel, f: Fit, menu: Menu) -> tuple[Fit, dict[str, tuple[Fit, Fit]], dict[str, Fit]]:
     """Each effect left out once and put up against its siblings, with all the others in the model.
 
@@ -113,10 +122,10 @@ def exchanged(channel: Channel, f: Fit, menu: Menu) -> tuple[Fit, dict[str, tupl
         if not np.isfinite(rest.deviance):
             continue
         options = [refit(channel, rest)]
-        if part.effect.family:
-            siblings = tuple(e for e in menu.effects if e.family == part.effect.family)
+        if siblings := tuple(e for e in menu.effects if akin(part.effect, e)):
             plain = fit(channel, rest.structure, rest.p, rest.scales, iterations=2, colour=False)
-            found = augmented(channel, plain, replace(menu, effects=siblings), best=2, iterations=20)
+            others = replace(menu, effects=siblings)
+            found = augmented(channel, plain, others, best=2, iterations=20, top=CURVES)
             options += [refit(channel, g) for g in found]
         best = min(options, key=lambda g: g.criterion)
         if best.criterion < f.criterion + (KEEP if best is options[0] else -WORTH):

@@ -214,9 +214,7 @@ def attribute(
     if good:
         final = good[0].fit
         p_values[good[0].key] = good[0].p_value
-        final = _more_effects(channel, final, good, menu, alpha, most, p_values, rivals)
-        final, came, rests = exchanged(channel, final, menu)
-        p_values |= {key: significance(*pair) for key, pair in came.items()}
+        final, rests = _more_effects(channel, final, good, menu, alpha, most, p_values, rivals)
         final = whole_delay(channel, final)
         present = {part.key for part in final.structure.effects}
         p_values = {key: p for key, p in p_values.items() if key in present}
@@ -273,9 +271,12 @@ def _alternatives(fits: list[Fit], position: int) -> tuple[Fit, ...]:
 def _more_effects(
     channel: Channel, first: Fit, good: list[Claim], menu: Menu, alpha: float, most: int,
     p_values: dict[str, float], rivals: dict[str, list[str]],
-) -> Fit:  # fmt: skip
-    """Second and further effects, from several of the best first ones."""
-    final = first
+) -> tuple[Fit, dict[str, Fit]]:  # fmt: skip
+    """Second and further effects, from several of the best first ones, and by its effects the model without each.
+
+    Each that comes is followed by a step back: what lacks a term of one that is there would be taken for a third effect.
+    """
+    final, rests = first, dict[str, Fit]()
     for depth in range(1, most):
         options: list[tuple[Fit, Fit]] = []
         tried: dict[int, list[Fit]] = {}
@@ -312,8 +313,9 @@ def _more_effects(
         if start is not final:
             before = start.structure.parts[-1].key
             p_values[before] = next(c.p_value for c in good if c.fit is start)
-        final = best
-    return final
+        final, came, rests = exchanged(channel, best, menu)
+        p_values |= {key: significance(*pair) for key, pair in came.items()}
+    return final, rests
 
 
 def _exchangeable(best: Fit, other: Fit, rivals: dict[str, list[str]]) -> None:
