@@ -20,6 +20,8 @@ TURNED = 16.0
 keeps nine tenths of its power."""
 CLOSER = 8  # rates between two of them, beside the best
 TONE = {"frequency": "rad/sample", "cosine": "y", "sine": "y"}
+OVERTONES, PARTS = 6, (1, 2, 3)
+"""Harmonics that a period is looked for by, as a pulse or a sawtooth has them; which of them the highest line may be."""
 
 
 def _tones(y: Array, p: Array, clock: Clock) -> Array:
@@ -62,6 +64,44 @@ def _highest_peaks(channel: Any, base: Any, count: int) -> tuple[Array, Array] |
     return p, np.tile([1.0 / n, size, size], count)
 
 
+def in_series(p: Array, clock: Clock) -> Array:
+    """(N,) a signal of one period: its frequency, then the cosine's and sine's size of each harmonic."""
+    first, wave, total = (np.cos(p[0] * clock.k), np.sin(p[0] * clock.k)), (1.0, 0.0), 0.0 * clock.k
+    for a, b in zip(p[1::2], p[2::2], strict=True):  # each harmonic is the one before, turned once more
+        wave = wave[0] * first[0] - wave[1] * first[1], wave[0] * first[1] + wave[1] * first[0]
+        total = total + a * wave[0] + b * wave[1]
+    return total
+
+
+def _repeating(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """A signal of one period, of which the highest line is a harmonic; of the periods near it, the one whose harmonics explain most."""
+    from estimators.diagnosis.effects.profiled import firm, waved
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.structure import Part
+
+    n, clock, use, highest = len(channel), channel.clock, channel.keep, _highest_peaks(channel, base, 1)
+    if highest is None:
+        return
+    line, r = highest[0], base.residual
+
+    def left(w: float, harmonics: int) -> tuple[float, Array]:
+        turns = clock.k[:, None] * w * np.arange(1, harmonics + 1)
+        X = np.stack((np.cos(turns), np.sin(turns)), axis=2).reshape(n, -1)
+        c = np.linalg.lstsq(X[use], r[use], rcond=None)[0]
+        return float(np.sum((r - X @ c)[use] ** 2)), np.concatenate(([w], c))
+
+    alone = left(line[0], 1)[0]
+    if not firm(base, alone):
+        return
+    near = np.linspace(-0.5, 0.5, 4 * OVERTONES + 1) * 2.0 * np.pi / (n * OVERTONES)
+    best, p = min((left(line[0] / part + by, OVERTONES) for part in PARTS for by in near), key=lambda found: found[0])
+    if not best < alone * np.exp(-FIRM / base.n):
+        return
+    scales = np.concatenate((base.scales, [1.0 / n], np.full(2 * OVERTONES, float(np.std(r)) + 1e-300)))
+    s = base.structure.adding(Part(WAVEFORM, 0, OVERTONES))
+    yield from waved(channel, fit(channel, s, np.concatenate((base.p, p)), scales, noise=base.noise, iterations=15))
+
+
 def _hidden(channel: Any, base: Any) -> Iterator[Any]:
     """A sinusoid that the linear model has taken for dynamics: in place of poles that ring through the whole record, and a
     slow swing beside an autoregression, as the residual of a model that was spoilt by it says little of it."""
@@ -92,7 +132,8 @@ def _hidden(channel: Any, base: Any) -> Iterator[Any]:
 TURNS = np.arange(1.2, 8.0, 0.2)
 """Turns of a slow swing in a record: fewer are a drift, more stand out of a linear model's residual."""
 FIRM = 60.0
-"""Likelihood ratio of a swing beside an autoregression from which on it is tried: far beyond the chance of 34 frequencies."""
+"""Likelihood ratio of a swing beside an autoregression from which on it is tried: far beyond the chance of 34 frequencies; and of
+what repeats, beside its highest line."""
 
 
 def _swing(channel: Any, s: Any) -> tuple[float, Array] | None:
@@ -228,6 +269,13 @@ TONES = _added(
     shape=lambda size, order: numbered(TONE, size) if size > 1 else list(TONE.items()), search=_tone_fits,
 )  # fmt: skip
 
+WAVES = {"cosine": "y", "sine": "y"}
+WAVEFORM = _added(
+    "waveform", "periodic_disturbance", "a signal that repeats is added, of any form: its period and its harmonics", per_sample=True,
+    apply=lambda y, p, c: y + in_series(p, c), parameters={"frequency": "rad/sample"} | WAVES, trials=10.0, search=_repeating,
+    shape=lambda size, order: [("frequency", "rad/sample"), *(numbered(WAVES, size) if size > 1 else WAVES.items())],
+)  # fmt: skip
+
 SWEEP = _added(
     "sweep", "periodic_disturbance", "a sinusoid of steadily changing frequency is added", per_sample=True, trials=20.0,
     parameters={"frequency": "rad/sample", "rate": "rad/sample^2", "cosine": "y", "sine": "y"}, apply=swept, search=_sweeping,
@@ -242,6 +290,7 @@ ADDED = (
            trials=0.03, per_sample=True, amplitude=0, family="steps", apply=lambda y, p, c: y + p[0] * after(c, p[1]),
            starts=lambda s: ([[0.05 * s.sy, t] for t in s.times()], [s.sy, 1.0])),
     TONES,
+    WAVEFORM,
     SWEEP,
 )  # fmt: skip
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import find_peaks, lfilter
 
-from estimators.diagnosis.effects.added import begun_beside, run_up, swept_line, turning
+from estimators.diagnosis.effects.added import begun_beside, in_series, run_up, swept_line, turning
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, numbered
 from estimators.diagnosis.effects.input import BANK, after, any_linear, banked
 
@@ -53,11 +53,7 @@ def swaying(x: Any, p: Array, clock: Clock) -> Any:
     """A signal times a gain that changes periodically: its frequency, then the cosine's and sine's size of each harmonic."""
     if not LEAST_TURNS <= abs(p[0]) * clock.length / (2.0 * np.pi) <= 0.5 * clock.length:
         return 0.0 * x + np.inf
-    first, wave, sway = (np.cos(p[0] * clock.k), np.sin(p[0] * clock.k)), (1.0, 0.0), 0.0
-    for a, b in zip(p[1::2], p[2::2], strict=True):  # each harmonic is the one before, turned once more
-        wave = wave[0] * first[0] - wave[1] * first[1], wave[0] * first[1] + wave[1] * first[0]
-        sway = sway + a * wave[0] + b * wave[1]
-    return x * (1.0 + sway)
+    return x * (1.0 + in_series(p, clock))
 
 
 def profile(
@@ -244,16 +240,16 @@ def _beats(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
 
 
 def waved(channel: Any, f: Any) -> Iterator[Any]:
-    """A periodic gain, and one harmonic after the other until two of them gain too little: what is filled and emptied is no sine, and
+    """What repeats, and one harmonic after the other until two of them gain too little: what is filled and emptied is no sine, and
     what is switched has every other one only."""
     from estimators.diagnosis.model.fitting import fit
 
     yield f
     turns = abs(f.p[f.structure.slices()[-1].start]) * len(channel) / (2.0 * np.pi)
-    best, missed = f, 0
-    for size in range(2, WAVES + 1 if turns >= REPEATS else 2):
+    best, missed, more = f, 0, f.scales[-2:]
+    for size in range(f.structure.parts[-1].size + 1, WAVES + 1 if turns >= REPEATS else 2):
         s = replace(f.structure, parts=(*f.structure.parts[:-1], replace(f.structure.parts[-1], size=size)))
-        f = fit(channel, s, np.append(f.p, [0, 0]), np.append(f.scales, [1, 1]), noise=f.noise, iterations=10)
+        f = fit(channel, s, np.append(f.p, [0, 0]), np.append(f.scales, more), noise=f.noise, iterations=10)
         if f.criterion <= best.criterion - WAVED:
             best, missed = f, 0
             yield best
