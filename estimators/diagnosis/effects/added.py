@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, numbered
 from estimators.diagnosis.effects.input import after, kept
@@ -20,8 +21,8 @@ TURNED = 16.0
 keeps nine tenths of its power."""
 CLOSER = 8  # rates between two of them, beside the best
 TONE = {"frequency": "rad/sample", "cosine": "y", "sine": "y"}
-OVERTONES, PARTS = 6, (1, 2, 3)
-"""Harmonics that a period is looked for by, as a pulse or a sawtooth has them; which of them the highest line may be."""
+OVERTONES, MOST_OVERTONES, PARTS = 6, 30, (1, 2, 3)
+"""Harmonics that a period is looked for by, as a pulse or a sawtooth has them; at most, as an edge has; which of them the highest line may be."""
 
 
 def _tones(y: Array, p: Array, clock: Clock) -> Array:
@@ -75,31 +76,61 @@ def in_series(p: Array, clock: Clock) -> Array:
 
 def _repeating(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     """A signal of one period, of which the highest line is a harmonic; of the periods near it, the one whose harmonics explain most."""
-    from estimators.diagnosis.effects.profiled import firm, waved
+    from estimators.diagnosis.effects.profiled import firm
     from estimators.diagnosis.model.fitting import fit
     from estimators.diagnosis.model.structure import Part
 
-    n, clock, use, highest = len(channel), channel.clock, channel.keep, _highest_peaks(channel, base, 1)
+    n, use, highest = len(channel), channel.keep, _highest_peaks(channel, base, 1)
     if highest is None:
         return
     line, r = highest[0], base.residual
 
-    def left(w: float, harmonics: int) -> tuple[float, Array]:
-        turns = clock.k[:, None] * w * np.arange(1, harmonics + 1)
-        X = np.stack((np.cos(turns), np.sin(turns)), axis=2).reshape(n, -1)
+    def left(w: float, count: int) -> tuple[float, Array]:
+        X = _harmonics(channel.clock.k, w, count)
         c = np.linalg.lstsq(X[use], r[use], rcond=None)[0]
         return float(np.sum((r - X @ c)[use] ** 2)), np.concatenate(([w], c))
 
-    alone = left(line[0], 1)[0]
-    if not firm(base, alone):
+    best, p = left(line[0], 1)
+    if not firm(base, best):
         return
     near = np.linspace(-0.5, 0.5, 4 * OVERTONES + 1) * 2.0 * np.pi / (n * OVERTONES)
-    best, p = min((left(line[0] / part + by, OVERTONES) for part in PARTS for by in near), key=lambda found: found[0])
-    if not best < alone * np.exp(-FIRM / base.n):
+    for part in PARTS:  # a longer period has the harmonics of a shorter one, and more
+        trial = min((left(line[0] / part + by, OVERTONES) for by in near), key=lambda found: found[0])
+        best, p = trial if trial[0] < best * np.exp(-FIRM / base.n) else (best, p)
+    if len(p) <= len(line):
         return
-    scales = np.concatenate((base.scales, [1.0 / n], np.full(2 * OVERTONES, float(np.std(r)) + 1e-300)))
+    size = float(np.std(r)) + 1e-300
+    scales = np.concatenate((base.scales, [1.0 / n], np.full(2 * OVERTONES, size)))
     s = base.structure.adding(Part(WAVEFORM, 0, OVERTONES))
-    yield from waved(channel, fit(channel, s, np.concatenate((base.p, p)), scales, noise=base.noise, iterations=15))
+    f = fit(channel, s, np.concatenate((base.p, p)), scales, noise=base.noise, iterations=15)
+    yield f
+    more = _overtones(channel, f) - OVERTONES
+    if more > 0:
+        s, scales = (
+            base.structure.adding(Part(WAVEFORM, 0, OVERTONES + more)),
+            np.append(scales, np.full(2 * more, size)),
+        )
+        yield fit(channel, s, np.append(f.p, np.zeros(2 * more)), scales, noise=f.noise, iterations=15)
+
+
+def _harmonics(k: Array, w: float, count: int) -> Array:
+    """(N, 2 count) cosine and sine of each harmonic."""
+    turns = k[:, None] * w * np.arange(1, count + 1)
+    return np.stack((np.cos(turns), np.sin(turns)), axis=2).reshape(len(k), -1)
+
+
+def _overtones(channel: Any, f: Any) -> int:
+    """How many harmonics Schwarz's criterion asks for, by what they have in common with a fit's residual as its noise model sees it."""
+    w, count = abs(float(f.p[f.structure.slices()[-1].start])), f.structure.parts[-1].size
+    most = max(count, int(min(np.pi / max(w, 1e-300), MOST_OVERTONES)))
+    whiten = np.concatenate(([1.0], f.noise))
+    seen = channel.keep[:, None] * np.column_stack((_harmonics(channel.clock.k, w, most), f.residual))
+    *X, e = lfilter(whiten, [1.0], seen, axis=0).T
+    Q = np.linalg.qr(np.array(X).T)[0]
+    told = np.cumsum((Q.T @ e) ** 2)[1::2]
+    sizes = np.arange(1, most + 1)
+    asked = f.n * np.log(np.maximum(1.0 - told / float(e @ e), 1e-12)) + 2.0 * sizes * np.log(f.n)
+    return int(sizes[np.argmin(np.where(sizes < count, np.inf, asked))])
 
 
 def _hidden(channel: Any, base: Any) -> Iterator[Any]:

@@ -240,16 +240,16 @@ def _beats(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
 
 
 def waved(channel: Any, f: Any) -> Iterator[Any]:
-    """What repeats, and one harmonic after the other until two of them gain too little: what is filled and emptied is no sine, and
+    """A periodic gain, and one harmonic after the other until two of them gain too little: what is filled and emptied is no sine, and
     what is switched has every other one only."""
     from estimators.diagnosis.model.fitting import fit
 
     yield f
     turns = abs(f.p[f.structure.slices()[-1].start]) * len(channel) / (2.0 * np.pi)
-    best, missed, more = f, 0, f.scales[-2:]
-    for size in range(f.structure.parts[-1].size + 1, WAVES + 1 if turns >= REPEATS else 2):
+    best, missed = f, 0
+    for size in range(2, WAVES + 1 if turns >= REPEATS else 2):
         s = replace(f.structure, parts=(*f.structure.parts[:-1], replace(f.structure.parts[-1], size=size)))
-        f = fit(channel, s, np.append(f.p, [0, 0]), np.append(f.scales, more), noise=f.noise, iterations=10)
+        f = fit(channel, s, np.append(f.p, [0, 0]), np.append(f.scales, [1, 1]), noise=f.noise, iterations=10)
         if f.criterion <= best.criterion - WAVED:
             best, missed = f, 0
             yield best

@@ -36,7 +36,7 @@ PLAIN = {
     "automatic_gain.share": "fall of the gain per size of late", "automatic_gain.power": "power of the gain's fall", "rises": "time constant as the size grows",
     "falls": "time constant as the size shrinks", "automatic_gain.level": "level about which the size counts",
     "gain_heat.share": "relative change of the gain per squared input", "stiffness_heat.share": "relative change of the stiffness per squared input",
-    "hysteresis.share": "share that bends off", "first": "bend at the lower end", "last": "bend at the upper end", "range": "range of the input's integral",
+    "hysteresis.share": "share that bends off", "recycle.share": "share that comes back", "slower": "time constant that it goes round through", "quicker": "second time constant", "first": "bend at the lower end", "last": "bend at the upper end", "range": "range of the input's integral",
     "integral_curve.least": "least of the input's integral", "integral_curve.start": "input's integral before the start",
     "first_rate": "steepness at the lower end", "last_rate": "steepness at the upper end", "memory": "time constant",
     "clock_settles.samples": "shift at the end", "lag.pole": "pole in the z-plane", "wrapped.pole": "pole in the z-plane",

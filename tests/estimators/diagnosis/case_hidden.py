@@ -65,6 +65,21 @@ def beating(u, a):
     return linear(u) * (1.0 + 0.3 * a * np.sin(0.05 * np.arange(len(u)) + 1.0))
 
 
+def recycled(u, a):
+    """Two stirred vessels; half of what leaves the second returns through a long pipe."""
+    x, y = np.full(len(u), u[0] / (1.0 - 0.5 * a)), np.full(len(u), u[0] / (1.0 - 0.5 * a))
+    for k in range(1, len(u)):
+        x[k] = x[k - 1] + 0.3 * (u[k - 1] + 0.5 * a * y[max(k - 25, 0)] - x[k - 1])
+        y[k] = y[k - 1] + 0.4 * (x[k - 1] - y[k - 1])
+    return y
+
+
+def on_a_timer(u, a):
+    """A second heater that a timer switches on for a fifth of each of its periods."""
+    k = np.arange(len(u))[:, None] + np.arange(0.0, 1.0, 0.05)
+    return linear(u + 1.5 * a * np.mean((k + 11.0) % 57.3 < 12.0, axis=1))
+
+
 def rollers(u, a):
     """A pump whose speed lags behind the input; its rollers pinch the hose once in a part of a turn."""
     v, angle, out = u[0], 0.0, np.zeros(len(u))
@@ -308,10 +323,13 @@ ALL_CLASSES = CLASSES | {
     "input_scanned": (scanned, 2, {}), "input_staged": (staged, 2, {}), "output_ranges": (ranged, 2, {}), "output_dead_band": (archived, 2, {}),
     "acts_since": (opened, 1, {"mean": 2.0, "inputs": 2}), "damping_settles": (leaking, 2, {}), "multiplexed of lags": (polled, 2, {}),
     "rate_in_course": (steered_ship, 3, {"hold": 40, "size": 0.5}), "automatic_gain": (compressed, 2, {}), "output_gain_periodic": (beating, 2, {}),
+    "recycle": (recycled, 2, {}), "waveform": (on_a_timer, 2, {}),
 }  # fmt: skip
 
 ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     # effect, a record that looks like it and is not
+    ("recycle", "rate_in_loop"), ("recycle", "interleaved"), ("rate_in_loop", "recycle"), ("relay_feedback", "recycle"), ("delay_periodic", "recycle"), ("recycle", "lag_drift"),
+    ("waveform", "gain_periodic"), ("gain_periodic", "waveform"), ("waveform", "multiplexed of lags"), ("pulse_input", "waveform"), ("output_gain_periodic", "waveform"),
     ("rate_in_course", "rate_in_loop"), ("rate_in_course", "wind_up"), ("rate_in_loop", "rate_in_course"), ("rate_limit_servo", "rate_in_course"),
     ("automatic_gain", "gain_heat"), ("automatic_gain", "output_ratio"), ("output_ratio", "automatic_gain"), ("gain_heat", "automatic_gain"),
     ("output_gain_periodic", "gain_periodic"), ("gain_periodic", "output_gain_periodic"), ("output_gain_periodic", "delay_periodic"), ("automatic_gain", "output_gain_periodic"),

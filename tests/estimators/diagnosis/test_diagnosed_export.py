@@ -68,6 +68,8 @@ NAMED = {
     "paced": ("tf", [("sensor_paced", [0.3, 0.4, 0.2])], {"rest": False}),
     "levelled": ("tf", [("automatic_gain", [0.8, 0.6, 4.0, 20.0, 0.1])], {"rest": False}),
     "beating sensor": ("tf", [("output_gain_periodic", [0.2, 0.3, 0.1])], {}),
+    "recycle": ("tf", [("recycle", [0.5, 6.0, 2.0, 7.3])], {"rest": False}),
+    "on a timer": ("tf", [("waveform", [0.2, 0.3, 0.1, 0.2, -0.1], {"size": 2})], {}),
     "run up": ("tf", [("sweep_input", [0.2, 0.001, 0.3, 0.2, 1.5])], {}),
     "scans": ("tf", [("input_scanned", [3.0, 1.0])], {"rest": False}),
     "sine": ("tf", [("output_sine", [0.9, 0.3]), ("input_sine", [0.8, 0.3])], {}),

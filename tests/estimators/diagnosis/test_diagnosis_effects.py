@@ -50,6 +50,7 @@ TIMED = {
     "step_input": ([0.3, 70.4], lambda x, k, p: x + p[0] * min(max(k - p[1], 0), 1)),
     "step_output": ([0.3, 70.4], lambda x, k, p: x + p[0] * min(max(k - p[1], 0), 1)),
     "tones": ([0.2, 0.5, -0.4], lambda x, k, p: x + p[1] * math.cos(p[0] * k) + p[2] * math.sin(p[0] * k)),
+    "waveform": ([0.2, 0.5, -0.4], lambda x, k, p: x + p[1] * math.cos(p[0] * k) + p[2] * math.sin(p[0] * k)),
     "drift": ([0.1, 0.7], lambda x, k, p: x + p[0] + p[1] * k / 150),
     "gain_periodic": (
         [0.2, 0.5, -0.4],

@@ -9,6 +9,7 @@ from estimators.diagnosis.effects.loops.limited import (
     WINDUP,
     slowest_rate,
 )
+from estimators.diagnosis.effects.loops.recycled import RECYCLE
 from estimators.diagnosis.effects.loops.remembering import (
     PLAYED,
     SCANNED,
@@ -20,4 +21,4 @@ from estimators.diagnosis.effects.loops.remembering import (
 
 __all__ = ["LOOPS", "PACES", "play_widths", "slowest_rate"]
 
-LOOPS = (SCANNED, STICTION, WINDUP, STEERED, STEERING, COURSED, RELAY, STAGED, SIDE_BY_SIDE, PLAYED)
+LOOPS = (SCANNED, STICTION, WINDUP, STEERED, STEERING, COURSED, RELAY, STAGED, SIDE_BY_SIDE, PLAYED, RECYCLE)

@@ -192,6 +192,19 @@ def _delay(w: Wiring, x: Any, p: Array) -> Any:
     return terms.delay_term(whole)(seen, p[0])
 
 
+def _recycled(w: Wiring, x: Any, p: Array) -> Any:
+    from estimators.diagnosis.effects.loops.recycled import stays
+
+    (a, b), whole, before = stays(p), int(np.floor(p[3])), w.value(x) / (1.0 - p[0])
+    one, two, past = w.state(before), w.state(before), w.state(np.full(whole + 1, before))
+    back = past.x[whole - 1] + (p[3] - whole) * (past.x[whole] - past.x[whole - 1])
+    out = x + p[0] * back
+    one.after = out + a * (one.x - out)
+    two.after = one.after + b * (two.x - one.after)
+    past.after = w.ca.vertcat(two.after, past.x[:-1])
+    return out
+
+
 def _lag(w: Wiring, x: Any, p: Array) -> Any:
     s = w.state()
     s.after = terms.lag_step()(s.x, x, p[0])
@@ -232,7 +245,7 @@ TWINS: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
     "plays": _side_by_side, "plays_output": _side_by_side,
     "backlash_input": lambda w, x, p: _play(w, x, abs(p[0]), p[1]), "backlash_sampled": lambda w, x, p: _play(w, x, abs(p[0])), "rate_limit": _servo(1), "rate_limit_sampled": _servo(0),
     "rate_limit_servo": _servo(1), "wind_up": _wound_up, "relay_feedback": _switched, "rate_in_loop": _steered(0), "rate_of_loop": _steered(1), "rate_in_course": _steered(COURSE),
-    "gain_of_angle": _of_angle, "gain_fatigue": _used_up, "gain_worn": _worn, "loss_heat": _warmed, "stiction": _stiction, "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag,
+    "gain_of_angle": _of_angle, "gain_fatigue": _used_up, "gain_worn": _worn, "loss_heat": _warmed, "stiction": _stiction, "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag, "recycle": _recycled,
     "gain_heat": _heated, "integral_curve": _store, "sandwich": _line, "input_lines": _line_from_origin,
     "output_lines": _line_from_origin, "reported_on_change": _reported, "sensor_paced": _paced, "automatic_gain": _levelled,
 }  # fmt: skip
