@@ -76,7 +76,6 @@ def in_series(p: Array, clock: Clock) -> Array:
 
 def _repeating(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     """A signal of one period, of which the highest line is a harmonic; of the periods near it, the one whose harmonics explain most."""
-    from estimators.diagnosis.effects.profiled import firm
     from estimators.diagnosis.model.fitting import fit
     from estimators.diagnosis.model.structure import Part
 
@@ -91,12 +90,13 @@ def _repeating(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any
         return float(np.sum((r - X @ c)[use] ** 2)), np.concatenate(([w], c))
 
     best, p = left(line[0], 1)
-    if not firm(base, best):
+    less = np.exp(-FIRM / base.n)
+    if not best < less * np.sum(r**2):
         return
     near = np.linspace(-0.5, 0.5, 4 * OVERTONES + 1) * 2.0 * np.pi / (n * OVERTONES)
     for part in PARTS:  # a longer period has the harmonics of a shorter one, and more
         trial = min((left(line[0] / part + by, OVERTONES) for by in near), key=lambda found: found[0])
-        best, p = trial if trial[0] < best * np.exp(-FIRM / base.n) else (best, p)
+        best, p = trial if trial[0] < less * best else (best, p)
     if len(p) <= len(line):
         return
     size = float(np.std(r)) + 1e-300

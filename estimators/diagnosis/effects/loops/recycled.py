@@ -54,7 +54,7 @@ def _echoes(channel: Any, few: Any, j: int, lags: Array) -> Iterator[Array]:
     """Lags, delay and share of the first echoes that explain most of a linear model's residual, of all delays at once."""
     n, (r, Q) = len(channel), left_over(channel, few)
     num, den = _returns(np.array([1.0, *lags, 1.0]))
-    once = through(few, j, lfilter(num, den, channel.u[:, j] - channel.u[0, j]))
+    once = through(few, j, np.asarray(lfilter(num, den, channel.u[:, j] - channel.u[0, j])))
     delays = np.unique(np.linspace(LEAST_DELAY, n // MOST_DELAY, TRIED).astype(int))
     D = np.stack([np.concatenate((np.zeros(d), once[: n - d])) for d in delays], axis=1)
     D = np.where(channel.keep[:, None], D, 0.0)
