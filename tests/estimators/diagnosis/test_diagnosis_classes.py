@@ -122,6 +122,26 @@ def test_a_steered_loop_is_its_differential_equation(which):
     assert np.max(np.abs(steered_loop(u, p, u[0], which) - plain)) < 0.01 * np.ptp(plain)
 
 
+def test_a_recycle_is_found_by_its_share_and_delay_and_goes_round_as_its_equation_says():
+    """Half of what leaves two vessels comes back after 25 samples, and one by which the sums are late; the run against its sums."""
+    f = fits("recycle", "recycle")[0][0]
+    assert f.p[f.structure.slices()[-1]][[0, 3]] == pytest.approx([0.5, 26.0], abs=0.1)
+    p, x = np.array([0.6, 5.0, 2.0, 7.25]), np.repeat([9.0, 11.0, 6.0], 40)
+    (a, b), before = np.exp(-1.0 / p[1:3]), x[0] / (1.0 - p[0])
+    one, two, out = before, [before] * 9, []
+    for value in x:
+        out.append(value + p[0] * (0.75 * two[-7] + 0.25 * two[-8]))
+        one = a * one + (1.0 - a) * out[-1]
+        two.append(b * two[-1] + (1.0 - b) * one)
+    np.testing.assert_allclose(named("recycle").apply(x, p, Clock(np.arange(120.0), 120)), out, rtol=1e-9)
+
+
+def test_what_repeats_has_the_period_of_its_timer_and_the_harmonics_that_its_edges_ask_for():
+    f = fits("waveform", "waveform")[0][0]
+    assert 2.0 * np.pi / f.p[f.structure.slices()[-1].start] == pytest.approx(57.3, abs=0.02)
+    assert f.structure.parts[-1].size > 9  # a pulse of a fifth lacks the fifth, and has those beyond
+
+
 def test_what_automatic_gain_has_levelled_is_restored_to_the_last_digits():
     x = np.random.default_rng(3).standard_normal(400) * np.repeat([0.2, 3.0, 0.5, 1.0], 100)
     for law in ((2.0, 0.5, 4.0, 60.0), (0.3, 1.0, 20.0, 20.0)):

@@ -15,6 +15,7 @@ from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.record.measurement import at_extremes, at_reversals, held_samples
 from estimators.diagnosis.search.candidates import Menu, augmented
 from estimators.diagnosis.search.exchange import (
+    akin,
     drifting,
     exchanged,
     trending,
@@ -56,6 +57,27 @@ def test_a_step_at_the_wrong_place_is_exchanged_and_an_idle_effect_taken_out():
     again, _, _ = exchanged(channel, best, Menu())  # nothing is left to mend
     assert {part.key for part in again.structure.parts} == {part.key for part in best.structure.parts}
     assert again.criterion > best.criterion - 12
+
+
+def test_a_curve_that_lacks_a_term_gives_way_before_a_third_effect_comes():
+    """A quadratic that stands for a quadratic with a cubic, beside a limited input."""
+    rng = np.random.default_rng(36)
+    u = lfilter([0.5], [1.0, -0.7], rng.standard_normal(600))
+    x = lfilter(B, A, np.clip(u, -1.0, 1.0))
+    channel = channel_of(u, x + 0.3 * x**2 + 0.2 * x**3 + 0.01 * rng.standard_normal(600))
+    model = added(channel, fit_linear(channel, Structure(2)), "saturation")
+    poor = added(channel, model, "output_quadratic")
+    best, came, _ = exchanged(channel, poor, Menu())
+    assert [part.key for part in best.structure.parts] == ["saturation", "output_polynomial"]
+    assert "output_polynomial" in came
+    assert np.std(best.residual) < 1.1 * 0.01 < np.std(poor.residual)
+
+
+def test_static_curves_of_one_cause_and_effects_of_one_family_are_akin():
+    assert akin(named("output_quadratic"), named("output_polynomial"))
+    assert akin(named("rate_limit"), named("rate_limit_servo"))
+    assert not akin(named("output_quadratic"), named("input_quadratic"))
+    assert not akin(named("backlash_input"), named("saturation"))
 
 
 def test_an_effect_that_changes_nothing_of_the_run_is_taken_out():
