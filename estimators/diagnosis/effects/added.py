@@ -129,7 +129,7 @@ def _overtones(channel: Any, f: Any) -> int:
     Q = np.linalg.qr(np.array(X).T)[0]
     told = np.cumsum((Q.T @ e) ** 2)[1::2]
     sizes = np.arange(1, most + 1)
-    asked = f.n * np.log(np.maximum(1.0 - told / float(e @ e), 1e-12)) + 2.0 * sizes * np.log(f.n)
+    asked = f.n * np.log(np.maximum(1.0 - told / (float(e @ e) + 1e-300), 1e-12)) + 2.0 * sizes * np.log(f.n)
     return int(sizes[np.argmin(np.where(sizes < count, np.inf, asked))])
 
 
