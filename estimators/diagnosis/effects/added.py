@@ -89,7 +89,7 @@ def _repeating(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any
         c = np.linalg.lstsq(X[use], r[use], rcond=None)[0]
         return float(np.sum((r - X @ c)[use] ** 2)), np.concatenate(([w], c))
 
-    best, p = left(line[0], 1)
+    best, p = left(line[0], 1)[0], None
     less = np.exp(-FIRM / base.n)
     if not best < less * np.sum(r**2):
         return
@@ -97,7 +97,7 @@ def _repeating(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any
     for part in PARTS:  # a longer period has the harmonics of a shorter one, and more
         trial = min((left(line[0] / part + by, OVERTONES) for by in near), key=lambda found: found[0])
         best, p = trial if trial[0] < less * best else (best, p)
-    if len(p) <= len(line):
+    if p is None:
         return
     size = float(np.std(r)) + 1e-300
     scales = np.concatenate((base.scales, [1.0 / n], np.full(2 * OVERTONES, size)))
@@ -106,11 +106,9 @@ def _repeating(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any
     yield f
     more = _overtones(channel, f) - OVERTONES
     if more > 0:
-        s, scales = (
-            base.structure.adding(Part(WAVEFORM, 0, OVERTONES + more)),
-            np.append(scales, np.full(2 * more, size)),
-        )
-        yield fit(channel, s, np.append(f.p, np.zeros(2 * more)), scales, noise=f.noise, iterations=15)
+        s = base.structure.adding(Part(WAVEFORM, 0, OVERTONES + more))
+        p, scales = np.append(f.p, np.zeros(2 * more)), np.append(scales, np.full(2 * more, size))
+        yield fit(channel, s, p, scales, noise=f.noise, iterations=15)
 
 
 def _harmonics(k: Array, w: float, count: int) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import find_peaks, lfilter
 
-from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
+from estimators.diagnosis.effects.effect import Effect, Nature, Slot, level_before
 from estimators.diagnosis.effects.input import kept
 from estimators.diagnosis.effects.profiled import BEGUN, ended, firm, left_over, profile, through
 
@@ -50,13 +50,15 @@ def _recycled(x: Array, p: Array) -> Array:
     return np.asarray(lfilter(den, around, x - before)) + before / (1.0 - p[0])
 
 
-def _echoes(channel: Any, few: Any, j: int, lags: Array) -> Iterator[Array]:
-    """Lags, delay and share of the first echoes that explain most of a linear model's residual, of all delays at once."""
-    n, (r, Q) = len(channel), left_over(channel, few)
+def _echoes(channel: Any, few: Any, j: int, lags: Array, left: tuple[Array, Array]) -> Iterator[Array]:
+    """Lags and delay of the first echoes that explain most of what a linear model has `left_over`, of all delays at once."""
+    from estimators.diagnosis.share.signals import late
+
+    n, (r, Q) = len(channel), left
     num, den = _returns(np.array([1.0, *lags, 1.0]))
     once = through(few, j, np.asarray(lfilter(num, den, channel.u[:, j] - channel.u[0, j])))
     delays = np.unique(np.linspace(LEAST_DELAY, n // MOST_DELAY, TRIED).astype(int))
-    D = np.stack([np.concatenate((np.zeros(d), once[: n - d])) for d in delays], axis=1)
+    D = np.stack([late(once, d) for d in delays], axis=1)
     D = np.where(channel.keep[:, None], D, 0.0)
     D -= Q @ (Q.T @ D)
     gains = (r @ D) ** 2 / np.maximum(np.sum(D**2, axis=0), 1e-12 * float(once @ once) + 1e-300)
@@ -80,11 +82,11 @@ def _recycling(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any
     times = np.sort(
         [-1.0 / np.log(min(max(abs(z), 0.05), 1.0 - 1.0 / n)) for z in np.roots(denominator(few))]
     )[::-1]
-    slow = float(times[0])
+    slow, left = float(times[0]), left_over(channel, few)
     for j in s.inputs:
         part = Part(RECYCLE, j)
         lags = {(slow, BRIEF), (slow, float(times[-1])), (0.5 * slow, BRIEF)}
-        found = [echo for pair in sorted(lags) for echo in _echoes(channel, few, j, np.array(pair))]
+        found = [echo for pair in sorted(lags) for echo in _echoes(channel, few, j, np.array(pair), left)]
         shapes = ([share, *echo] for echo in found for share in SHARES)
         starts = [p for _, p in profile(channel, few, part, shapes)[:BEGUN]]
         for f in ended(channel, few, part, starts, [1.0, slow, slow, 1.0]) if starts else ():
@@ -92,12 +94,9 @@ def _recycling(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any
                 yield f
 
 
-def _applied(x: Array, p: Array, clock: Clock) -> Array:
-    return kept(_recycled, x, p)
-
-
 RECYCLE = Effect(
-    key="recycle", cause="delayed_feedback", nature=Nature.LINEAR, slot=Slot.INPUT, trials=50, apply=_applied, search=_recycling,
+    key="recycle", cause="delayed_feedback", nature=Nature.LINEAR, slot=Slot.INPUT, trials=50,
+    apply=lambda x, p, clock: kept(_recycled, x, p), search=_recycling,
     sentence="a share of what the input drives comes back after a delay, and enters with it: a recycle, an echo",
     parameters={"share": "1", "slower": "sample", "quicker": "sample", "delay": "sample"},
 )  # fmt: skip
