@@ -19,7 +19,7 @@ SIGNALS = {"deviations": True, "as logged": False}
 ORDER = {"type": "integer", "minimum": 1, "maximum": 20}
 UNIT = {
     "anyOf": [TEXT, {"type": "array", "items": TEXT, "minItems": 1}],
-    "description": "a unit, or a list with one per column",
+    "description": "a unit, or one per column: a list, or separated by commas",
 }
 META = keyed(
     {
@@ -52,11 +52,17 @@ META = keyed(
 """What a meta.json may say; keys that are not known here are the user's own notes."""
 
 
+COUNTED = ("SISO", "MISO", "SIMO", "MIMO")
+"""Structures that say only how many channels there are, which the record says too."""
+
+
 def setting_of_meta(meta: dict[str, Any], n_outputs: int) -> Setting:
     """What a meta.json says: structure, order, deviations."""
     structure = meta.get("structure", "full")
-    if structure not in ("SISO", "diagonal", "full"):
-        raise InputError(f"the structure in meta.json is {structure!r}; it is SISO, diagonal or full.")
+    if structure not in ("diagonal", "full", *COUNTED):
+        raise InputError(
+            f"the structure in meta.json is {structure!r}; it is diagonal, full, or one of {', '.join(COUNTED)}."
+        )
     order = meta.get("suggested_order")
     if order is None:
         orders: tuple[int, ...] = ()
@@ -82,7 +88,8 @@ def _in_units(record: Record, meta: dict[str, Any]) -> Record:
     given: dict[str, Any] = {}
     for side in ("input", "output"):
         own, said = getattr(record, f"{side}_units"), meta.get(f"{side}_unit", "")
-        units = said if isinstance(said, list) else [said] * len(own)
+        units = said if isinstance(said, list) else [unit.strip() for unit in said.split(",")]
+        units = units * len(own) if len(units) == 1 else units
         if len(units) != len(own):
             raise InputError(
                 f"{side}_unit in meta.json is {said!r} for {len(own)} {side}s; give one unit each."

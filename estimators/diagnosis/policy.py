@@ -61,7 +61,7 @@ class Setting:
     """What the user knows and wants.
 
     `orders` order stated per output: what the data ask for beyond it (a delay, an order, a mode) is named;
-    empty: none is stated; `structure` "SISO", "diagonal" or "full"; `deviations` true: signals are deviations
+    empty: none is stated; `structure` "diagonal" where each output has its own input; `deviations` true: signals are deviations
     from the operating point, where every record starts at rest: training records that do not are named so.
     False: as logged. None: the data decide; `skip` test samples that may set the initial state and are left
     out of the error; `alpha` false-alarm rate over all tests together; `separate` whether the two records are

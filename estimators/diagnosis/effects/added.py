@@ -280,7 +280,7 @@ def swept(y: Array, p: Array, clock: Clock) -> Array:
 def run_up(x: Any, p: Array, clock: Clock) -> Any:
     """The same, its size a power of its frequency: 2 for what is out of balance, 0 for what is pushed."""
     power = min(max(float(p[4]), -MOST_GROWTH), MOST_GROWTH)
-    grown = np.exp(power * np.log(np.abs(1.0 + p[1] * clock.k / p[0]) + 1e-6))
+    grown = np.exp(power * np.log(np.abs(1.0 + p[1] * clock.k / (p[0] or 1e-12)) + 1e-6))
     return x + grown * swept(0.0 * x, p, clock)
 
 

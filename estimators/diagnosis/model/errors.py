@@ -72,10 +72,6 @@ def _weighted(f: Fit) -> Array:
     return np.asarray(lfilter(np.r_[1.0, f.weight], np.r_[1.0, f.whitened], f.jacobian, axis=0))
 
 
-SIZES = ("width", "half_width")
-"""Parameters whose sign means nothing: the kernels take their size."""
-
-
 def parameters_of(f: Fit, channel: Channel, prefix: str = "") -> dict[str, tuple[float, float, str]]:
     """Parameters of a fit's parts, with standard errors that know of the noise's correlation."""
     if not f.jacobian.size:
@@ -100,8 +96,15 @@ def parameters_of(f: Fit, channel: Channel, prefix: str = "") -> dict[str, tuple
                 ):  # where no sample is as near as a difference is wide, the derivatives say nothing
                     error = max(error if error < np.inf else 0.0, 0.5 * (ends[1] - ends[0]) / NORMAL)
             value = float(f.p[at])
-            out[label] = (abs(value) if name in SIZES else value, error, unit)
+            out[label] = (abs(value) if value < 0.0 and _signless(f, channel, at) else value, error, unit)
     return out
+
+
+def _signless(f: Fit, channel: Channel, at: int) -> bool:
+    """Whether the sign of a parameter means nothing: what takes its size runs alike with the other one."""
+    there = np.where(np.arange(len(f.p)) == at, -f.p, f.p)
+    run = lambda p: simulate(f.structure, p, channel.u, channel.clock)
+    return np.array_equal(run(there), run(f.p))
 
 
 def _followed(f: Fit, channel: Channel, known: Spread, at: int, error: float) -> float:

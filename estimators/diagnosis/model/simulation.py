@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from estimators.diagnosis.effects.effect import Clock, Slot
+from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
 from estimators.diagnosis.model.layouts import LAYOUTS, Inside, changed_states, layout_matrices, states
 from estimators.diagnosis.model.structure import Part, Structure, stable_polynomial
 from estimators.residual.algebra import delayed
@@ -131,10 +131,15 @@ def _inside(
     return Inside(tuple(forces), elements, s.steps) if len(forces) <= MOST_FORCES else None
 
 
-def _within(at: float, n: int) -> bool:
+def _within(effect: Effect, at: float, u: Array) -> bool:
     """Whether a change lies well within the record: what came before its very start or after its very end hardly shows, and what
-    came after rules a later record."""
-    return ENDS * n < at < (1.0 - ENDS) * n
+    came after rules a later record.
+
+    Of how a system moves nothing shows before an input does: what seems to change as inputs first move is how the level matters.
+    """
+    n = len(u)
+    rest = 0 if effect.nature is Nature.ADDED else int(np.argmax(np.any(u != u[0], axis=1)))
+    return rest + ENDS * n < at < (1.0 - ENDS) * n
 
 
 def acted(s: Structure, p: Array, u: Array, clock: Clock, *, rest: bool = False) -> Array | None:
@@ -152,10 +157,9 @@ def acted(s: Structure, p: Array, u: Array, clock: Clock, *, rest: bool = False)
 
 
 def _acted(s: Structure, p: Array, u: Array, clock: Clock, rest: bool) -> Array | None:
-    n = len(u)
     U = u[:, list(s.inputs)]  # a copy
     for part, sl in s.placed[0]:
-        if part.effect.timed and not rest and not _within(p[sl][-1], n):
+        if part.effect.timed and not rest and not _within(part.effect, p[sl][-1], u):
             return None
         if not part.enters:
             continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -122,10 +123,13 @@ def dated(claim: Claim, f: Fit, channel: Channel) -> bool:
     return all(error < DATED * len(channel) for error in errors)
 
 
-def bending(bench: Bench, f: Fit, held: list[Claim], unused: Array) -> list[Claim]:
+def bending(
+    bench: Bench, f: Fit, held: list[Claim], unused: Array, alternatives: Sequence[Fit]
+) -> list[Claim]:
     """The claims; of missing dynamics where a run is too near proportion for a nonlinear effect to have gained what it did.
 
-    What is proportional to either sign of the input alone, as rates that differ up and down, shows with the sign reversed.
+    What is proportional to either sign of the input alone, as rates that differ up and down, shows with the sign reversed. Most of the
+    gain may be of dynamics that the linear model lacks, and yet more dynamics alone may leave what the bend explains.
     """
     runs = scaled_runs(f, bench.channel)
     if not all(np.all(np.isfinite(run)) for run in runs):
@@ -134,6 +138,11 @@ def bending(bench: Bench, f: Fit, held: list[Claim], unused: Array) -> list[Clai
     keep = bench.channel.keep
     power = float(np.mean((full - little / SMALL)[keep] ** 2 + (0.5 * (full + back))[keep] ** 2))
     gained = bench.over(unused, bench.base.unused[0][:, bench.output]).value
+    squares = lambda g: float(np.mean(g.residual**2))
+    linear = (g for g in alternatives if g.structure.effects[0].effect.nature is Nature.LINEAR)
+    more = min(map(squares, linear), default=np.inf) - squares(f)
+    if squares(f) < more < power / MUST:  # twice the squares, and no more than the bend can have explained
+        return held
     return [
         replace(claim, part=replace(claim.part, effect=named("order")))
         if claim.part.effect.nature in BENT and power < MUST * min(gained, claim.gain.value)

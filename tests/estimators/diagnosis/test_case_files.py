@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from estimators.diagnosis.cases import Columns, diagnose_files
+from estimators.diagnosis.cases import COUNTED, Columns, _in_units, diagnose_files, setting_of_meta
 from estimators.diagnosis.policy import Effort, Setting
+from oed.data import Record
 from oed.errors import InputError
 
 
@@ -68,3 +69,17 @@ def test_a_test_record_of_which_nothing_is_left_is_a_line(case, skip) -> None:
     """It had been a ValueError of an empty maximum."""
     with pytest.raises(InputError, match=f"300 samples, of which the first {skip} are left out"):
         case({"skip": skip})
+
+
+def test_a_description_may_count_the_channels_and_name_their_units_in_one_line() -> None:
+    """ "The structure in meta.json is 'MISO'" was an error, and each of two inputs in "V, A" was in the unit `V, A`."""
+    for word in COUNTED:
+        assert setting_of_meta({"structure": word}, 1).structure != "diagonal"
+    assert setting_of_meta({"structure": "diagonal"}, 2).structure == "diagonal"
+    with pytest.raises(InputError, match="'square'; it is diagonal, full, or one of SISO, MISO"):
+        setting_of_meta({"structure": "square"}, 1)
+    record = Record(np.ones((3, 2)), np.ones((3, 1)))
+    for said, units in (("V, A", ("V", "A")), ("V", ("V", "V")), (["V", "A"], ("V", "A")), ("", ("", ""))):
+        assert _in_units(record, {"input_unit": said}).input_units == units
+    with pytest.raises(InputError, match="'V, A, W' for 2 inputs"):
+        _in_units(record, {"input_unit": "V, A, W"})

@@ -1,0 +1,94 @@
+"""What records that begin at rest, cold or full say and do not say: changes at the first move, stores, signs without meaning."""
+
+import warnings
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from estimators.diagnosis.effects import Nature, named
+from estimators.diagnosis.effects.added import run_up
+from estimators.diagnosis.effects.effect import Clock
+from estimators.diagnosis.ladder.claims import Claim
+from estimators.diagnosis.model.errors import parameters_of
+from estimators.diagnosis.model.fitting import Channel, fit
+from estimators.diagnosis.model.linear import fit_linear, plant_scales
+from estimators.diagnosis.model.simulation import ENDS, simulate
+from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.search.naming import MUST, bending
+
+N = 800
+CLOCK = Clock(np.arange(float(N)), N)
+
+
+def _channel(u: np.ndarray, y: np.ndarray) -> Channel:
+    return Channel(u[:, None], y, CLOCK, np.ones(N, dtype=bool))
+
+
+@pytest.mark.parametrize("key, moves", [("gain_change", True), ("pole_change", True), ("step_output", False)])
+def test_no_change_of_the_system_is_dated_before_its_input_has_moved(key, moves, rng) -> None:
+    """A heated plate that cooled until its lamp was switched on had "one time constant changes abruptly" as its cause."""
+    u = np.where(np.arange(N) < N // 4, 0.0, rng.standard_normal(N))
+    effect = named(key)
+    s = Structure(2, layout=next(iter(effect.change or ("tf",)))).adding(Part(effect))
+    for at, bears in ((0.2, not moves), (0.25 + 0.9 * ENDS, not moves), (0.25 + 1.1 * ENDS, True)):
+        p = np.concatenate((np.full(s.plant_size, -0.3), [0.2, at * N]))
+        assert np.all(np.isfinite(simulate(s, p, u[:, None], CLOCK))) == bears
+
+
+def _tired(rng, deviates: float, use: float) -> tuple[Channel, Any]:
+    """A record from a full store, and the fit of the effect that made it."""
+    u = np.where(np.arange(N) < 10, 0.0, 10.0 + deviates * np.repeat(rng.uniform(-1, 1, N // 20), 20))
+    s = Structure(1).adding(Part(named("gain_fatigue")))
+    p = np.array([-0.8, 0.2, use, 0.01])
+    y = simulate(s, p, u[:, None], CLOCK) + 0.01 * rng.standard_normal(N)
+    channel = _channel(u, y)
+    scales = np.concatenate((plant_scales(Structure(1), p[:2]), [use, 0.01]))
+    return channel, fit(channel, s, p * [1.0, 1.0, -1.0, -1.0], scales)
+
+
+def _renamed(channel: Channel, f: Any, gained: float, alternatives: list[Any]) -> list[str]:
+    part = f.structure.parts[-1]
+    gain: Any = SimpleNamespace(value=gained)
+    claim: Any = Claim(part, gain, 0.0)
+    bench: Any = SimpleNamespace(
+        channel=channel, output=0, over=lambda *_: SimpleNamespace(value=gained),
+        base=SimpleNamespace(unused=[np.zeros((N, 1))]),
+    )  # fmt: skip
+    return [c.part.key for c in bending(bench, f, [claim], np.zeros(N), alternatives)]
+
+
+def test_a_store_that_was_full_is_no_missing_mode_where_more_dynamics_leave_what_it_explains(rng) -> None:
+    """Of a motor that warms up, most of the gain over a linear model is of its slow pole; what bends beside it is the answer."""
+    channel, f = _tired(rng, 3.0, 0.002)
+    linear = fit_linear(channel, Structure(2, parts=(Part(named("order")),)))
+    squares = lambda g: float(np.mean(g.residual**2))
+    more = squares(linear) - squares(f)
+    assert linear.structure.effects[0].effect.nature is Nature.LINEAR
+    assert more > squares(f)
+    gained = 1e6 * more
+    assert _renamed(channel, f, gained, []) == ["order"]
+    assert _renamed(channel, f, gained, [linear]) == ["gain_fatigue"]
+    as_good = replace(linear, residual=1.3 * f.residual)
+    assert _renamed(channel, f, gained, [as_good]) == ["order"]
+    worse_than_the_bend = replace(linear, residual=linear.residual + 1e3 / MUST)
+    assert _renamed(channel, f, gained, [worse_than_the_bend]) == ["order"]
+
+
+def test_a_parameter_whose_sign_means_nothing_is_said_by_its_size(rng) -> None:
+    channel, f = _tired(rng, 3.0, 0.002)
+    assert max(f.p[2:]) < 0.0
+    said = parameters_of(f, channel)
+    assert said["gain_fatigue.use"][0] == pytest.approx(0.002, rel=0.1)
+    assert said["gain_fatigue.recovery"][0] == pytest.approx(0.01, rel=0.2)
+    bent = fit(channel, Structure(1).adding(Part(named("input_quadratic"))),
+               np.array([-0.8, 0.2, -0.01]), np.array([1.0, 1.0, 0.1]))  # fmt: skip
+    assert parameters_of(bent, channel)["input_quadratic.c2"][0] == bent.p[2] < 0.0
+
+
+def test_a_sweep_from_standstill_divides_by_no_frequency() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert np.all(np.isfinite(run_up(np.zeros(N), np.array([0.0, 1e-4, 1.0, 0.5, 2.0]), CLOCK)))
