@@ -120,9 +120,11 @@ class Outcome:
     def gainsaid(self, nature: str) -> bool:
         """Whether causes of another nature, without any model of them, explain as much as the named model does, and surely more
         than those of this one do: a cousin of the truth bends until it fits, a regression of its place alone does not. But it does
-        not bend until a tenth of the error is left and nothing of that can be explained.
+        not bend until nothing of what is left can be explained and that is a tenth of the error, or surely less than the other causes
+        leave.
         """
-        whole = self.kept < WHOLE and not self.left.explainable
+        more = self.kept**2 < 1.0 - self.share.natures[0].high
+        whole = (self.kept < WHOLE or more) and not self.left.explainable
         return not whole and self.behind(nature) and 1.0 - self.share.natures[0].share <= TWICE * self.kept**2
 
     @property
