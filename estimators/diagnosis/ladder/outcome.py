@@ -123,9 +123,11 @@ class Outcome:
         not bend until nothing of what is left can be explained and that is a tenth of the error, or surely less than the other causes
         leave.
         """
-        more = self.kept**2 < 1.0 - self.share.natures[0].high
-        whole = (self.kept < WHOLE or more) and not self.left.explainable
-        return not whole and self.behind(nature) and 1.0 - self.share.natures[0].share <= TWICE * self.kept**2
+        if not self.behind(nature):
+            return False
+        best, left = self.share.natures[0], self.kept**2
+        whole = (self.kept < WHOLE or left < 1.0 - best.high) and not self.left.explainable
+        return not whole and 1.0 - best.share <= TWICE * left
 
     @property
     def discovered(self) -> str:

@@ -310,6 +310,18 @@ def polled(u, a):
     return np.where(np.arange(len(u)) % 2 == 0, y, y + a * (lag(y, np.exp(-1.0 / 12.0)) - y))
 
 
+def slid(u, a):
+    """A stem that breaks away and then follows its command at a distance until that halts or turns."""
+    stem, way, out, last = 0.0, 0.0, np.empty(len(u)), u[0]
+    for k, command in enumerate(u):
+        if (command - last) * way <= 0.0:
+            way = np.sign(command - stem) if abs(command - stem) > 0.7 * a else 0.0
+        if way * (command - stem) > 0.3 * a:
+            stem = command - 0.3 * a * way
+        out[k], last = stem, command
+    return linear(out)
+
+
 ALL_CLASSES = CLASSES | {
     # effect: maker, order of the linear model, form of the input
     "rate_in_loop": (slow_valve, 3, {"hold": 20, "size": 0.5}), "rate_of_loop": (slow_valve_seen, 3, {"hold": 20, "size": 0.5}),
@@ -323,11 +335,12 @@ ALL_CLASSES = CLASSES | {
     "input_scanned": (scanned, 2, {}), "input_staged": (staged, 2, {}), "output_ranges": (ranged, 2, {}), "output_dead_band": (archived, 2, {}),
     "acts_since": (opened, 1, {"mean": 2.0, "inputs": 2}), "damping_settles": (leaking, 2, {}), "multiplexed of lags": (polled, 2, {}),
     "rate_in_course": (steered_ship, 3, {"hold": 40, "size": 0.5}), "automatic_gain": (compressed, 2, {}), "output_gain_periodic": (beating, 2, {}),
-    "recycle": (recycled, 2, {}), "waveform": (on_a_timer, 2, {}),
+    "recycle": (recycled, 2, {}), "waveform": (on_a_timer, 2, {}), "stiction_sliding": (slid, 2, {"hold": 2}),
 }  # fmt: skip
 
 ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     # effect, a record that looks like it and is not
+    ("stiction", "stiction_sliding"), ("stiction_sliding", "plays"), ("clearance", "stiction_sliding"),
     ("recycle", "rate_in_loop"), ("recycle", "interleaved"), ("rate_in_loop", "recycle"), ("relay_feedback", "recycle"), ("delay_periodic", "recycle"), ("recycle", "lag_drift"),
     ("waveform", "gain_periodic"), ("gain_periodic", "waveform"), ("waveform", "multiplexed of lags"), ("pulse_input", "waveform"), ("output_gain_periodic", "waveform"),
     ("rate_in_course", "rate_in_loop"), ("rate_in_course", "wind_up"), ("rate_in_loop", "rate_in_course"), ("rate_limit_servo", "rate_in_course"),

@@ -53,6 +53,7 @@ NAMED = {
     "staircase in time": ("tf", [("input_staircase", [0.4, 0.1]), ("gain_periodic", [0.2, 0.3, 0.1])], {}),
     "sampled rate": ("tf", [("rate_limit_sampled", [0.5])], {}),
     "stem": ("tf", [("stiction", [0.5, 0.3, 0.7])], {"ahead": True, "rest": False}),
+    "stem that slides": ("tf", [("stiction_sliding", [0.5, 0.3, 0.7])], {"ahead": True, "rest": False}),
     "plays": ("tf", [("plays", [1.2, 0.5, 0.2, 0.1, 0.4, -0.7]), ("plays_output", [0.8, 0.1, 0.3, 0.2, 0.5, 0.3])], {"rest": False}),
     "bends": ("tf", [("hysteresis", [0.6, 0.5])], {}),
     "bends by rate": ("tf", [("hysteresis_rate", [0.6, 2.0])], {}),

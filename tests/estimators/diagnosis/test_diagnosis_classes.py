@@ -156,8 +156,9 @@ def test_what_automatic_gain_has_levelled_is_restored_to_the_last_digits():
 
 
 @pytest.mark.parametrize(
-    "key, q", [("stiction", [1.5, 0.4]), ("backlash_input", [1.2]), ("plays", [1.2, 0.5, 0.2, 0.1, 0.4])]
-)
+    "key, q",
+    [("stiction", [1.5, 0.4]), ("stiction_sliding", [1.5, 0.4]), ("backlash_input", [1.2]), ("plays", [1.2, 0.5, 0.2, 0.1, 0.4])],
+)  # fmt: skip
 def test_where_a_stem_stood_before_a_record_on_a_level_is_fitted(key, q):
     """From the middle of its gap, as from the command itself, the record's first rest would be off by most of the gap."""
     rng, e = np.random.default_rng(5), named(key)
@@ -206,21 +207,25 @@ def test_values_between_samples_are_those_of_scipys_spline(rng, n):
     assert np.isnan(read_between(y, np.array([np.nan]))).all()
 
 
-def test_a_stem_in_a_loop_is_found_between_the_widths_of_a_coarse_grid():
+@pytest.mark.parametrize("key, left", [("stiction", 0.0), ("stiction_sliding", 3.0)])
+def test_a_stem_in_a_loop_is_found_between_the_widths_of_a_coarse_grid(key, left):
     """A valve that sticks, in a loop: with a width a few hundredths off it jumps at other times ever after."""
     rng, n = np.random.default_rng(2), 1500
     goal = np.repeat(rng.uniform(-8.0, 8.0, n // 50), 50)
-    u, y, stem = np.zeros(n), np.zeros(n), 0.0
+    u, y, stem, way = np.zeros(n), np.zeros(n), 0.0, 0.0
     noise, sums, x1, x2 = 0.4 * rng.standard_normal(n), 0.0, 0.0, 0.0
     for k in range(n):
         y[k] = x2 + noise[k]
         sums += 0.06 * (goal[k] - y[k])
         u[k] = 0.5 * (goal[k] - y[k]) + sums
-        stem = u[k] if abs(u[k] - stem) > 9.5 else stem
+        gap = u[k] - stem
+        way = way if key == "stiction_sliding" and k and way * (u[k] - u[k - 1]) > 0.0 else 0.0
+        way = way or np.sign(gap) * (abs(gap) > 9.5)
+        stem = u[k] - left * way if way * gap > left else stem
         x1, x2 = x1 + 0.45 * (stem - x1), x2 + 0.17 * (0.72 * x1 - x2)
     channel = Channel(u[:, None], y, Clock(np.arange(float(n)), n), np.ones(n, dtype=bool))
     f = fit_linear(channel, Structure(1, delay=8))
-    found = list(named("stiction").search(channel, f, ()))
+    found = list(named(key).search(channel, f, ()))
     assert min(np.sqrt(np.mean(g.residual**2)) for g in found) < 0.6
     assert min(abs(g.p[-3] - 9.5) for g in found) < 0.3
 

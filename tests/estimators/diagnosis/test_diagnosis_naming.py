@@ -198,6 +198,9 @@ def test_the_nature_that_the_residual_shows_leads_where_the_terms_have_it() -> N
             False,
             False,
         ),  # a thermistor: a thirteenth of the error is left, and it is noise
+        (0.33, 0.92, 0.041, False, False, False),  # a rotor on a balance: a fifth is left, less than others leave
+        (0.33, 0.92, 0.041, False, True, True),
+        (0.33, 0.92, 0.065, False, False, True),
     ],
 )
 def test_a_name_is_not_given_where_causes_of_another_place_explain_as_much(
@@ -219,6 +222,8 @@ def test_a_name_is_not_given_where_causes_of_another_place_explain_as_much(
     assert o.behind("b") is (own < 0.9 and not feedback)  # whatever the named model explains
     assert not o.gainsaid("a")
     assert not o.gainsaid("c")  # of a nature that no regression looks for it says nothing
+    nothing: Any = SimpleNamespace(feedback=feedback, natures=[], nature="", explainable=False)
+    assert not replace(o, share=nothing).gainsaid("b")
 
 
 def test_what_the_joint_fit_does_not_tell_from_nothing_is_not_claimed_beside_what_it_does():

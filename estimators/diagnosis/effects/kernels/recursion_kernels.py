@@ -154,16 +154,20 @@ def relay(signal, half_width):  # pragma: no cover - compiled
 
 
 @compiled
-def sticky(signal, stays, left, start):  # pragma: no cover - compiled
-    """A stem that stays at `start` while its command is within `stays` of it, and then jumps to `left` short of the command."""
+def sticky(signal, stays, left, start, slides):  # pragma: no cover - compiled
+    """A stem that stays at `start` while its command is within `stays` of it, and then jumps to `left` short of the command; there it
+    sticks again, or `slides` on behind it until it halts or turns."""
     out = np.empty_like(signal)
-    m = start
+    m, way, before = start, 0.0, signal[0]
     for k in range(signal.shape[0]):
         gap = signal[k] - m
-        if gap > stays:
-            m = signal[k] - left
-        elif gap < -stays:
-            m = signal[k] + left
+        if not slides or (signal[k] - before) * way <= 0.0:
+            way = 0.0
+        if way == 0.0 and abs(gap) > stays:
+            way = 1.0 if gap > 0.0 else -1.0
+        if way * gap > left:
+            m = signal[k] - way * left
+        before = signal[k]
         out[k] = m
     return out
 

@@ -15,10 +15,11 @@ from estimators.diagnosis.effects.loops.remembering import (
     SCANNED,
     SIDE_BY_SIDE,
     STAGED,
+    SLIDING,
     STICTION,
     play_widths,
 )
 
 __all__ = ["LOOPS", "PACES", "play_widths", "slowest_rate"]
 
-LOOPS = (SCANNED, STICTION, WINDUP, STEERED, STEERING, COURSED, RELAY, STAGED, SIDE_BY_SIDE, PLAYED, RECYCLE)
+LOOPS = (SCANNED, STICTION, SLIDING, WINDUP, STEERED, STEERING, COURSED, RELAY, STAGED, SIDE_BY_SIDE, PLAYED, RECYCLE)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -85,17 +85,19 @@ def _unplayed(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array
     return x, 1.0 + weights @ np.array(moves)
 
 
-def _sticky(x: Array, p: Array, clock: Clock) -> Array:
-    """A stem that stays until its command is half a width off, then jumps to within a share of that."""
+def _sticky(slides: bool, x: Array, p: Array, clock: Clock) -> Array:
+    """A stem that stays until its command is half a width off, then jumps to within a share of that, and may slide on."""
     from estimators.diagnosis.effects.kernels.recursion_kernels import sticky
 
     half = abs(p[0])
     left = half * float(np.clip(p[1], 0.0, 1.0))
     off = aside(half, p[2])
-    return sticky(np.ascontiguousarray(x), half, left, level_before(x) + off) - off
+    return sticky(np.ascontiguousarray(x), half, left, level_before(x) + off, slides) - off
 
 
-def _promising(channel: Any, base: Any, j: int, delay: int) -> list[tuple[float, float, float]]:
+def _promising(
+    channel: Any, base: Any, slides: bool, j: int, delay: int
+) -> list[tuple[float, float, float]]:
     """Shapes of the stem that, through a few lags, explain most of what the linear model leaves."""
     from estimators.diagnosis.search.free_runs import denominator
 
@@ -104,7 +106,8 @@ def _promising(channel: Any, base: Any, j: int, delay: int) -> list[tuple[float,
     Q = np.linalg.qr(np.column_stack((np.ones(len(u)), channel.y - base.residual))[keep])[0]
     r, found = base.residual[keep] - Q @ (Q.T @ base.residual[keep]), []
     for left in LEFT:
-        stems = np.stack([_sticky(u, np.array([w * su, left, 0.0]), channel.clock) for w in STUCK], axis=1)
+        shapes = (np.array([w * su, left, 0.0]) for w in STUCK)
+        stems = np.stack([_sticky(slides, u, shape, channel.clock) for shape in shapes], axis=1)
         stems = np.concatenate((np.zeros((delay, len(STUCK))), stems[: len(u) - delay]))
         lags = [
             lfilter([1.0 - z], [1.0, -z], stems, axis=0)[keep] for z in np.exp(-slowest * np.array(PACES))
@@ -118,19 +121,19 @@ def _promising(channel: Any, base: Any, j: int, delay: int) -> list[tuple[float,
     return [shape for _, shape in sorted(found)[:PROMISING]]
 
 
-def _sticking(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+def _sticking(slides: bool, channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     """Widths and shares on a grid, then ever closer to the best, each with poles of its own: the error jumps with every sample in
     which the stem does, so that no derivative leads there, and the linear model's poles stand for the stem too."""
     from estimators.diagnosis.model.linear import fresh_poles, relinearised
     from estimators.diagnosis.model.simulation import acted, simulate
     from estimators.diagnosis.model.structure import Part, stable_polynomial
 
-    s, order = base.structure, base.structure.order
+    s, order, effect = base.structure, base.structure.order, (STICTION, SLIDING)[slides]
     ways = [
         (j, delay) for j in s.inputs for delay in sorted({0, s.delay})
     ]  # what sticks looks late to a linear model
     for j, delay in ways if s.layout == "tf" and order else ():
-        su, part = float(np.std(channel.u[:, j])), Part(STICTION, j)
+        su, part = float(np.std(channel.u[:, j])), Part(effect, j)
         new = replace(s, delay=delay).adding(part)
 
         def tried(shape: tuple[float, float, float], new: Any = new, su: float = su) -> tuple[float, Array]:
@@ -148,7 +151,7 @@ def _sticking(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]
         ) -> list[tuple[float, Array]]:
             return sorted([*so_far, *map(tried, shapes)], key=lambda entry: entry[0])[:NEAREST]
 
-        found = best(_promising(channel, base, j, delay), [])
+        found = best(_promising(channel, base, slides, j, delay), [])
         step = np.array([STUCK[1] - STUCK[0], LEFT[1] - LEFT[0]])
         around = [(a, b) for a in CLOSER for b in CLOSER if a or b]
         for size in 0.5 ** np.arange(HALVED) if firm(base, found[0][0]) else ():
@@ -160,10 +163,15 @@ def _sticking(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]
             yield from ended(channel, bare, part, [p for _, p in found], [su, 1.0, 1.0])
 
 
-STICTION = Effect(
-    key="stiction", cause="stiction", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=12, reversing=True, search=_sticking,
-    sentence="the actuator sticks until its command is far enough off, then jumps",
-    parameters={"half_width": "u", "left": "1", "start": "1"}, apply=_sticky,
+STICTION, SLIDING = (
+    Effect(
+        key=key, cause="stiction", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=12, reversing=True, search=partial(_sticking, slides),
+        sentence=f"the actuator sticks until its command is far enough off, then {then}", apply=partial(_sticky, slides),
+        parameters={"half_width": "u", "left": "1", "start": "1"},
+    )
+    for slides, key, then in (
+        (False, "stiction", "jumps"), (True, "stiction_sliding", "jumps, and slides on until it halts or turns"),
+    )
 )  # fmt: skip
 
 SIDE_BY_SIDE = Effect(

@@ -158,13 +158,19 @@ def _switched(w: Wiring, x: Any, p: Array) -> Any:
     return y
 
 
-def _stiction(w: Wiring, x: Any, p: Array) -> Any:
-    half = abs(p[0])
-    off = aside(half, p[2])
-    s = w.state(w.value(x) + off)
-    left, gap = half * float(np.clip(p[1], 0.0, 1.0)), x - s.x
-    s.after = w.ca.if_else(gap > half, x - left, w.ca.if_else(gap < -half, x + left, s.x))
-    return s.after - off
+def _stem(slides: bool) -> Callable[[Wiring, Any, Array], Any]:
+    def run(w: Wiring, x: Any, p: Array) -> Any:
+        half = abs(p[0])
+        left, off, first = half * float(np.clip(p[1], 0.0, 1.0)), aside(half, p[2]), w.value(x)
+        s = w.state([first + off, first, 0.0])  # where it stands, the last command, and which way it slides
+        gap = x - s.x[0]
+        breaks = w.ca.if_else(gap > half, 1.0, w.ca.if_else(gap < -half, -1.0, 0.0))
+        way = w.ca.if_else((x - s.x[1]) * s.x[2] > 0.0, s.x[2], breaks) if slides else breaks
+        stem = w.ca.if_else(way * gap > left, x - way * left, s.x[0])
+        s.after = w.ca.vertcat(stem, x, way)
+        return stem - off
+
+    return run
 
 
 def _bouc_wen(w: Wiring, x: Any, width: float) -> Any:
@@ -245,7 +251,7 @@ TWINS: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
     "plays": _side_by_side, "plays_output": _side_by_side,
     "backlash_input": lambda w, x, p: _play(w, x, abs(p[0]), p[1]), "backlash_sampled": lambda w, x, p: _play(w, x, abs(p[0])), "rate_limit": _servo(1), "rate_limit_sampled": _servo(0),
     "rate_limit_servo": _servo(1), "wind_up": _wound_up, "relay_feedback": _switched, "rate_in_loop": _steered(0), "rate_of_loop": _steered(1), "rate_in_course": _steered(COURSE),
-    "gain_of_angle": _of_angle, "gain_fatigue": _used_up, "gain_worn": _worn, "loss_heat": _warmed, "stiction": _stiction, "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag, "recycle": _recycled,
+    "gain_of_angle": _of_angle, "gain_fatigue": _used_up, "gain_worn": _worn, "loss_heat": _warmed, "stiction": _stem(False), "stiction_sliding": _stem(True), "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag, "recycle": _recycled,
     "gain_heat": _heated, "integral_curve": _store, "sandwich": _line, "input_lines": _line_from_origin,
     "output_lines": _line_from_origin, "reported_on_change": _reported, "sensor_paced": _paced, "automatic_gain": _levelled,
 }  # fmt: skip
