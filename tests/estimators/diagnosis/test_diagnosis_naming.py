@@ -198,7 +198,14 @@ def test_the_nature_that_the_residual_shows_leads_where_the_terms_have_it() -> N
             False,
             False,
         ),  # a thermistor: a thirteenth of the error is left, and it is noise
-        (0.33, 0.92, 0.041, False, False, False),  # a rotor on a balance: a fifth is left, less than others leave
+        (
+            0.33,
+            0.92,
+            0.041,
+            False,
+            False,
+            False,
+        ),  # a rotor on a balance: a fifth is left, less than others leave
         (0.33, 0.92, 0.041, False, True, True),
         (0.33, 0.92, 0.065, False, False, True),
     ],

@@ -14,12 +14,25 @@ from estimators.diagnosis.effects.loops.remembering import (
     PLAYED,
     SCANNED,
     SIDE_BY_SIDE,
-    STAGED,
     SLIDING,
+    STAGED,
     STICTION,
     play_widths,
 )
 
 __all__ = ["LOOPS", "PACES", "play_widths", "slowest_rate"]
 
-LOOPS = (SCANNED, STICTION, SLIDING, WINDUP, STEERED, STEERING, COURSED, RELAY, STAGED, SIDE_BY_SIDE, PLAYED, RECYCLE)
+LOOPS = (
+    SCANNED,
+    STICTION,
+    SLIDING,
+    WINDUP,
+    STEERED,
+    STEERING,
+    COURSED,
+    RELAY,
+    STAGED,
+    SIDE_BY_SIDE,
+    PLAYED,
+    RECYCLE,
+)

@@ -95,9 +95,7 @@ def _sticky(slides: bool, x: Array, p: Array, clock: Clock) -> Array:
     return sticky(np.ascontiguousarray(x), half, left, level_before(x) + off, slides) - off
 
 
-def _promising(
-    channel: Any, base: Any, slides: bool, j: int, delay: int
-) -> list[tuple[float, float, float]]:
+def _promising(channel: Any, base: Any, slides: bool, j: int, delay: int) -> list[tuple[float, float, float]]:
     """Shapes of the stem that, through a few lags, explain most of what the linear model leaves."""
     from estimators.diagnosis.search.free_runs import denominator
 
