@@ -89,7 +89,7 @@ def _in_units(record: Record, meta: dict[str, Any]) -> Record:
     for side in ("input", "output"):
         own, said = getattr(record, f"{side}_units"), meta.get(f"{side}_unit", "")
         units = said if isinstance(said, list) else [unit.strip() for unit in said.split(",")]
-        units = units * len(own) if len(units) == 1 else units
+        units = units if isinstance(said, list) or len(units) == len(own) else [said] * len(own)
         if len(units) != len(own):
             raise InputError(
                 f"{side}_unit in meta.json is {said!r} for {len(own)} {side}s; give one unit each."

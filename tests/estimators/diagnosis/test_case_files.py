@@ -81,5 +81,6 @@ def test_a_description_may_count_the_channels_and_name_their_units_in_one_line()
     record = Record(np.ones((3, 2)), np.ones((3, 1)))
     for said, units in (("V, A", ("V", "A")), ("V", ("V", "V")), (["V", "A"], ("V", "A")), ("", ("", ""))):
         assert _in_units(record, {"input_unit": said}).input_units == units
-    with pytest.raises(InputError, match="'V, A, W' for 2 inputs"):
-        _in_units(record, {"input_unit": "V, A, W"})
+    assert _in_units(record, {"output_unit": "g, wet"}).output_units == ("g, wet",)
+    with pytest.raises(InputError, match="for 2 inputs"):
+        _in_units(record, {"input_unit": ["V", "A", "W"]})
