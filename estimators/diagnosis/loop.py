@@ -278,7 +278,7 @@ def _outcome(
     # What the answer explains was no noise that an input answers.
     errors = [r.y[:, i] - ladder.chosen.simulate(r, base.blocks.window) for r in records]
     echo = bench.inverse and has_feedback(records, errors, counted)
-    loop = echo and is_answer(records, errors, counted)
+    loop = echo and min(base.outputs[i].delays) > 0 and is_answer(records, errors, counted)
     inverse = echo and ladder.chosen.at_once(train, base.blocks.window)
     return Outcome(i, found, named, ladder, share, left, terms.found, inverse, loop)
 

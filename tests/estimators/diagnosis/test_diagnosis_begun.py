@@ -1,4 +1,4 @@
-"""What records that begin at rest, cold or full say and do not say: changes at the first move, stores, signs without meaning."""
+"""What records do not say: changes before a first move, dynamics where a store was full, signs without meaning, loops of two sensors."""
 
 import warnings
 from dataclasses import replace
@@ -7,17 +7,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from estimators.diagnosis.effects import Nature, named
 from estimators.diagnosis.effects.added import run_up
 from estimators.diagnosis.effects.effect import Clock
 from estimators.diagnosis.ladder.claims import Claim
+from estimators.diagnosis.loop import diagnose
 from estimators.diagnosis.model.errors import parameters_of
 from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.linear import fit_linear, plant_scales
 from estimators.diagnosis.model.simulation import ENDS, simulate
 from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.policy import Effort, Setting
 from estimators.diagnosis.search.naming import MUST, bending
+from oed.data import Record
 
 N = 800
 CLOCK = Clock(np.arange(float(N)), N)
@@ -86,6 +90,24 @@ def test_a_parameter_whose_sign_means_nothing_is_said_by_its_size(rng) -> None:
     bent = fit(channel, Structure(1).adding(Part(named("input_quadratic"))),
                np.array([-0.8, 0.2, -0.01]), np.array([1.0, 1.0, 0.1]))  # fmt: skip
     assert parameters_of(bent, channel)["input_quadratic.c2"][0] == bent.p[2] < 0.0
+
+
+@pytest.mark.slow
+def test_two_measurements_of_one_thing_are_no_closed_loop(rng) -> None:
+    """Each has noise of its own, so that the past of one helps to predict the other: "the input answers the noise" was said of two
+    seismometers side by side, and of the temperatures on the two sides of a wall."""
+
+    def record(n: int) -> Record:
+        shaken = lfilter([0.28], [1.0, -1.6, 0.8], rng.standard_normal(n + 200))[200:]
+        return Record(
+            shaken + 0.15 * rng.standard_normal(n),
+            lfilter([1.0, -0.3], [1.0, -0.5], shaken) + 0.15 * rng.standard_normal(n),
+        )
+
+    d = diagnose(record(600), record(400), Setting(effort=Effort.QUICK))
+    assert d.effect in ("none", "coloured_noise")
+    assert "closed_loop" not in d.ranked
+    assert "in two measurements of one thing" in str(d).splitlines()[0]
 
 
 def test_a_sweep_from_standstill_divides_by_no_frequency() -> None:
