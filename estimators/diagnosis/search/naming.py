@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects import Nature, named
 from estimators.diagnosis.effects.folding import RECTIFIED
+from estimators.diagnosis.effects.loops.recycled import RECYCLE
 from estimators.diagnosis.effects.path import STORE_CURVE
 from estimators.diagnosis.effects.plant import MOVING, SWINGS, WORN
 from estimators.diagnosis.effects.process import FILLED, THROUGH, at_once
@@ -19,6 +20,7 @@ from estimators.diagnosis.model.fitting import Channel, Fit
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part
 from estimators.diagnosis.search.free_runs import denominator, largest_pole
+from oed.covariances import NORMAL
 
 if TYPE_CHECKING:
     from estimators.diagnosis.ladder.claims import Claim
@@ -58,9 +60,17 @@ def as_shown(part: Part, f: Fit, channel: Channel) -> Part:
         return replace(part, effect=replace(effect, cause=named("loss").cause))
     if _multiplies(part, p[part.own :], channel):
         return replace(part, effect=named("bilinear"))
+    if effect is RECYCLE and not _returns(f, channel):
+        return replace(part, effect=named("order"))
     if effect.cause == FOLD and not _folds(f, at, channel):
         return replace(part, effect=replace(effect, cause=named("output_polynomial").cause))
     return part
+
+
+def _returns(f: Fit, channel: Channel) -> bool:
+    """Whether the share that comes back is told from nothing: else two lags and a delay beside the plant are more dynamics."""
+    rows = parameters_of(f, channel)
+    return any(abs(rows[k][0]) > NORMAL * rows[k][1] for k in rows if k.startswith(f"{RECYCLE.key}.share"))
 
 
 def _multiplies(part: Part, q: Array, channel: Channel) -> bool:
