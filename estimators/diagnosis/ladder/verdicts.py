@@ -268,10 +268,8 @@ def _data(o: Outcome, setting: Setting, effects: dict[str, Effect], tag: str) ->
     order = {"held": 4.0, "quantised": 3.0, "outliers": 1.0}
     found = [_seen(effects, s.key, order.get(s.key, 0.0), 0.0, s.sentence) for s in o.examined.signatures]
     limit = 1e-2 if o.share.feedback else 1e-4 * o.of_the_best  # alone, a model's error may foretell an input
-    told = p < setting.alpha * limit and not (
-        o.inverse and not o.loop
-    )  # which two measurements of one thing may be
-    if told or o.loop:
+    told = p < setting.alpha * limit
+    if o.loop or (told and not o.inverse):  # which two measurements of one thing may be
         what = f"past innovations help to predict the input ({p_stated(p)})" if told else ANSWERS
         found.append(_seen(effects, "feedback", 2.0, p, f"{what}{tag}: the data are from a closed loop"))
     return found

@@ -25,6 +25,7 @@ from estimators.diagnosis.ladder.outcome import FAILED, SOME, UNSURE, Outcome
 from estimators.diagnosis.ladder.verdicts import Finding, _supported
 from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.linear import fit_linear
+from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.result.report import ErrorFigure
@@ -95,6 +96,19 @@ def test_a_flow_that_hardly_fills_or_passes_no_pipe_is_a_product() -> None:
             _shown("through_flow", [0.1, 2.0 * share * LATE], channel=channel),
         )
         assert [e.cause == "bilinear" for e in found] == [cause == "bilinear"] * 2
+
+
+@pytest.mark.parametrize(("share", "key"), [(0.0, "order"), (0.5, "recycle")])
+def test_what_comes_back_with_no_share_told_from_nothing_is_more_dynamics(share, key, rng) -> None:
+    """The hair dryer had "delayed feedback" with a share of -1.0 +- 1.7."""
+    n = 600
+    u = np.repeat(rng.uniform(-1.0, 1.0, n // 6), 6)
+    s = Structure(1).adding(Part(named("recycle")))
+    p, scales = np.array([-0.8, 0.2, share, 6.0, 2.0, 9.0]), np.array([1.0, 1.0, 1.0, 6.0, 2.0, 1.0])
+    channel = Channel(u[:, None], u, Clock(np.arange(float(n)), n), np.ones(n, dtype=bool))
+    y = simulate(s, p, channel.u, channel.clock) + 0.02 * rng.standard_normal(n)
+    f = fit(replace(channel, y=y), s, p + [0.0, 0.0, 0.02, 0.0, 0.0, 0.0], scales)
+    assert as_shown(f.structure.parts[-1], f, replace(channel, y=y)).effect.key == key
 
 
 def test_the_gain_that_all_inputs_lose_is_found_though_a_slow_pole_had_taken_its_place(rng) -> None:
