@@ -298,14 +298,19 @@ def _borne_after_all(
     ladder: Ladder, answer: int, off: Sequence[Array], sane: Sequence[bool], policy: Policy
 ) -> int:
     """The rung that unused blocks put before the answer without being sure of it, or though it may only hear what the input knows of the
-    noise, where errors on the test record, (n, 1), are surely less with it: the best on unused blocks of those."""
+    noise, where errors on the test record, (n, 1), are surely less with it and its own fit tells it from nothing: the best on unused
+    blocks of those."""
     limit = (1.0 - policy.searched[1]) * ladder.rungs[answer].value
     able = [
         j
         for j, r in enumerate(ladder.rungs)
-        if sane[j] and r.step.kind is not Kind.LINEAR and r.value < limit
+        if sane[j] and r.step.kind is not Kind.LINEAR and r.value < limit and r.step.told
     ]
-    borne = [j for j in able if difference_figure(off[answer], off[j]).low > 0.0]
+    surely = lambda j, rows: difference_figure(off[answer][rows], off[j][rows]).low > 0.0
+    late = slice(
+        len(off[answer]) // 2, None
+    )  # where no start is heard any more: a better one alone is no effect
+    borne = [j for j in able if surely(j, slice(None)) and surely(j, late)]
     return min(borne, key=lambda j: ladder.rungs[j].value, default=answer)
 
 

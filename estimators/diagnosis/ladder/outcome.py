@@ -130,6 +130,11 @@ class Outcome:
         return not whole and 1.0 - best.share <= TWICE * left
 
     @property
+    def terms(self) -> int:
+        """Number of terms discovered for this output."""
+        return sum(t.output == self.index for t in self.discovery.terms)
+
+    @property
     def discovered(self) -> str:
         """The nature of the terms discovered for this output; empty where there are none."""
         mine = [t for t in self.discovery.terms if t.output == self.index]
@@ -166,14 +171,16 @@ class Outcome:
         return sum(t.weight for t in mine if t.nature == nature) > SOME * sum(t.weight for t in mine)
 
     def named_carries(self, policy: Policy, agreed: bool = False) -> bool:
-        """Whether the named model is so near the answer on unused blocks that its names stand for both: less, if some agree with it."""
+        """Whether the named model is so near the answer on unused blocks that its names stand for both: less, if some agree with it;
+        never where it needs more effects than the answer has terms."""
         linear, answer = self.value(Kind.LINEAR) ** 2, self.ladder.rungs[self.ladder.answer].value ** 2
         named, (share, factor) = self.value(Kind.NAMED) ** 2, policy.carried
         share = policy.agreed if agreed else share
         alike = agreed or any(
             self.agrees(c.part.effect.nature, c.part.effect.cause) for c in self.named.claims[:1]
         )
-        near = named <= factor**2 * answer or (
-            alike and any(s.kind is Kind.DISCOVERED for s in self.ladder.chosen.chain)
-        )
+        found = any(s.kind is Kind.DISCOVERED for s in self.ladder.chosen.chain)
+        if found and not agreed and self.terms < len(self.named.claims):
+            return False
+        near = named <= factor**2 * answer or (alike and found)
         return linear - named >= share * (linear - answer) and answer < linear and near

@@ -20,6 +20,7 @@ from estimators.diagnosis.ladder.figures import together
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.result.report import ErrorFigure
 from estimators.residual.algebra import sum_error
+from oed.covariances import NORMAL
 from oed.data import Record
 
 if TYPE_CHECKING:
@@ -91,6 +92,12 @@ class Step:
     def heard(self, echo: bool) -> Step:
         """The step, refused where it may only hear what the input knows of the noise."""
         return replace(self, admitted=self.admitted and not echo, echo=echo)
+
+    @property
+    def told(self) -> bool:
+        """Whether the joint fit tells any coefficient of an equation from nothing; other models answer for theirs elsewhere."""
+        values = self.parameters.values() if self.kind is Kind.DISCOVERED else ()
+        return not values or any(abs(value) > NORMAL * error for value, error, _ in values)
 
     @property
     def chain(self) -> tuple[Step, ...]:

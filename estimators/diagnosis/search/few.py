@@ -122,16 +122,18 @@ def _nearest(bench: Bench, options: list[Named]) -> list[Named]:
 def _loose(n: Named, claims: Sequence[Claim] | None = None) -> bool:
     """Whether the record says nothing of a parameter of what bends, of some claims or all: it has run to a limit in which the effect
     is another one."""
-    keys = tuple(f"{c.key}." for c in (n.claims if claims is None else claims) if bent(c))
+    claimed, s = n.claims if claims is None else claims, n.fit.structure
+    named = {q.key for q in s.effects}
+    shown = {c.key for c in claimed} <= named
+    keys = [c.key for c in claimed if bent(c)] if shown else named - {c.key for c in n.claims}
     rows = {} if n.step is None else n.step.parameters
-    s = n.fit.structure
     at = [
         sl.start + i
         for q, sl in zip(s.parts, s.slices(), strict=True)
         for i in range(len(q.parameters(s.order)))
     ]
     sizes = dict(zip(rows, n.fit.scales[at], strict=True)) if rows else {}
-    return any(e > UNTOLD * sizes[name] for name, (_, e, _) in rows.items() if name.startswith(keys))
+    return any(e > UNTOLD * sizes[name] for name, (_, e, _) in rows.items() if name.split(".")[0] in keys)
 
 
 UNTOLD = 4.0

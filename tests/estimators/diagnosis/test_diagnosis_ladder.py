@@ -15,7 +15,7 @@ from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.ladder import Kind, Step, climb, paired_gain
 from estimators.diagnosis.ladder.asked import begun, outside
 from estimators.diagnosis.ladder.figures import together
-from estimators.diagnosis.ladder.held_out import continues, onward
+from estimators.diagnosis.ladder.held_out import _borne_after_all, continues, onward
 from estimators.diagnosis.ladder.outcome import Outcome
 from estimators.diagnosis.ladder.steps import over_linear, refused
 from estimators.diagnosis.policy import Policy
@@ -167,6 +167,10 @@ def test_named_effects_lend_their_names_only_to_an_answer_that_they_nearly_are()
         o = Outcome(0, None, found, ladder, None, None, terms)  # pyright: ignore[reportArgumentType]
         assert o.named_carries(POLICY) is lent
         assert o.agrees("a", "anything") is (terms.terms[0].nature == "a")
+        found.claims.append(
+            other
+        )  # two effects are no simpler a cause than one term: a loss was heat and a gain that swings
+        assert not o.named_carries(POLICY)
     drag = SimpleNamespace(nature="dynamic nonlinearity", weight=1.0, output=0, same_as="nonlinear_drag")
     o = Outcome(0, None, None, None, None, None, SimpleNamespace(terms=[drag]))  # pyright: ignore[reportArgumentType]
     assert o.agrees("dynamic nonlinearity", "nonlinear_drag")
@@ -175,6 +179,26 @@ def test_named_effects_lend_their_names_only_to_an_answer_that_they_nearly_are()
     )  # most causes are dynamic: that says little
     drag.same_as = "pendulum"  # a cosine over a part of a turn
     assert o.agrees("dynamic nonlinearity", "duffing")
+
+
+def test_what_only_the_test_record_bears_must_be_told_and_no_better_start(rng) -> None:
+    """Linear records: a better start was a drag of three terms, and a gas furnace a store of -.06 +- .83."""
+    y, steps = _case(3, 1.0, 0.5)
+    ladder = replace(climb(y, steps, COUNTED, POLICY), answer=0)
+    off, better = 2.0 * rng.standard_normal((N, 1)), rng.standard_normal((N, 1))
+    begun = np.concatenate((better[: N // 4], off[N // 4 :]))
+    for kind, value, run, borne in (
+        (Kind.NAMED, 1.0, better, 1),
+        (Kind.NAMED, 1.0, begun, 0),
+        (Kind.DISCOVERED, 1.0, better, 0),
+        (Kind.DISCOVERED, 3.0, better, 1),
+    ):
+        step = replace(
+            ladder.rungs[1].step, kind=kind, parameters={"coefficient of term 1": (value, 1.0, "")}
+        )
+        rungs = (ladder.rungs[0], replace(ladder.rungs[1], step=step))
+        found = _borne_after_all(replace(ladder, rungs=rungs), 0, [off, run], [True, True], POLICY)
+        assert found == borne
 
 
 def test_what_runs_by_the_clock_gives_way_to_terms_that_do_as_well_without_it() -> None:

@@ -344,7 +344,7 @@ SWUNG = Effect(
 )  # fmt: skip
 
 SLIPPED = Effect(
-    key="clock_slips", cause="periodic_delay", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, linear=True, ahead=True, trials=300,
+    key="clock_slips", cause="clock_drift", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, linear=True, ahead=True, trials=300,
     sentence="the clock of the output falls behind, or runs ahead, and is set right once in every period",
     parameters={"period": "sample", "place": "1", "slip": "sample"}, apply=_slipped, search=_slippings,
 )  # fmt: skip
