@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
+from estimators.diagnosis.effects.output import KEPT
 from estimators.diagnosis.effects.profiled import CROSSED, firm
 from estimators.residual.algebra import delayed
 
@@ -307,10 +308,10 @@ def _cutting(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     from estimators.diagnosis.model.structure import Part
 
     s, y = base.structure, channel.y
-    if s.layout != "tf" or s.effects or not channel.keep.all() or (found := _blank(y)) is None:
+    if s.layout != "tf" or s.effects or np.mean(channel.keep) < KEPT or (found := _blank(y)) is None:
         return
     low, reading = found
-    f = fit_linear(replace(channel, keep=~low), s)
+    f = fit_linear(replace(channel, keep=channel.keep & ~low), s)
     new, p = s.adding(Part(CUTOFF, s.inputs[0])), np.append(f.p, [0.0, reading])
     scales = np.append(f.scales, [float(np.std(y))] * 2)
     for _ in range(COUNTS):  # the level has no derivative
@@ -360,7 +361,7 @@ def _two_ranges(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[An
     from estimators.diagnosis.model.structure import Part
 
     s, y, found = base.structure, channel.y, []
-    if s.layout != "tf" or s.effects or not channel.keep.all():
+    if s.layout != "tf" or s.effects or np.mean(channel.keep) < KEPT:
         return
     new, size = s.adding(Part(RANGES, s.inputs[0])), float(np.std(y))
     at = [sl.start for part, sl in zip(s.parts, s.slices(), strict=True) if part.effect is OFFSET]

@@ -214,7 +214,7 @@ def quickly_made(channel: Any, s: Any) -> Array | None:
     return relinearised(channel, s, p) if stable_polynomial(p[: s.order]) else None
 
 
-KEPT = 0.9  # share of the samples, from which on the others may stand as the linear model has them while an effect is undone
+KEPT = 0.9  # share of the samples, from which on the others may stand between their neighbours while an effect is undone
 
 
 def mended(
@@ -241,11 +241,10 @@ def mended(
         s = base.structure if late else replace(base.structure, delay=0)
         if s.layout != "tf" or s.effects or np.mean(channel.keep) < KEPT:
             return
-        shown = replace(channel, y=np.where(channel.keep, channel.y, channel.y - base.residual))
         found, e = [], effect()
 
         def tried(shape: list[float]) -> None:
-            got = undone(e, shape, shown)
+            got = undone(e, shape, channel)
             if got is None:
                 return
             there = replace(channel, y=got[0])
@@ -254,12 +253,12 @@ def mended(
                 rest = (got[1] * (there.y - simulate(s, p, there.u, there.clock)))[channel.keep]
                 found.append((float(rest @ rest), shape, p))
 
-        for shape in shapes(shown):
+        for shape in shapes(channel):
             tried(shape)
         least = min((entry[0] for entry in found), default=np.inf)
         if least > NOTHING * float(np.sum(base.residual[channel.keep] ** 2)):
             return
-        for shape in closer(shown, min(found, key=lambda entry: entry[0])[1]):
+        for shape in closer(channel, min(found, key=lambda entry: entry[0])[1]):
             tried(shape)
         part = Part(e, s.inputs[0])
         for _, shape, p in sorted(found, key=lambda entry: entry[0])[:2]:

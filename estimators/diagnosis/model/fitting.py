@@ -49,6 +49,18 @@ class Channel:
     def __len__(self) -> int:
         return len(self.y)
 
+    def without(self, out: NDArray[np.bool_]) -> "Channel":
+        """The channel where some samples (N,) more do not count."""
+        keep = self.keep & ~out
+        return replace(self, y=bridged(self.y, out, keep), keep=keep)
+
+
+def bridged(y: Array, out: NDArray[np.bool_], keep: NDArray[np.bool_]) -> Array:
+    """Samples (N,) with those that are `out` on lines between the nearest that count: what reads past outputs meets them there."""
+    if out.any() and keep.any():
+        y = np.where(out, np.interp(np.arange(len(y)), np.flatnonzero(keep), y[keep]), y)
+    return y
+
 
 @dataclass(frozen=True, eq=False)
 class Fit:

@@ -12,7 +12,7 @@ from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.input import LINES, SANDWICH
 from estimators.diagnosis.effects.path import INITIAL, OUTFLOW
 from estimators.diagnosis.ladder.steps import ROUNDING
-from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations, leaving
+from estimators.diagnosis.model.fitting import Channel, Fit, bridged, fit, innovations, leaving
 from estimators.diagnosis.model.forces import balanced_fit, force_balance
 from estimators.diagnosis.model.linear import begun_linear, fit_linear
 from estimators.diagnosis.model.simulation import simulate
@@ -194,9 +194,8 @@ def as_motion(record: Record, i: int, setting: Setting, known: Known) -> Examine
 def _lengthened(record: Record, i: int, short: Examined, setting: Setting) -> Examined:
     """What was found on the first part of a long record, fitted to all of it."""
     n = len(record)
-    y = np.array(record.y[:, i])
-    missing = ~np.isfinite(y)
-    y[missing] = 0.0
+    missing = ~np.isfinite(record.y[:, i])
+    y = bridged(record.y[:, i], missing, ~missing)
     faults = {sig.key for sig in short.signatures}
     keep = ~missing & ~lost_samples(record.u, y) if "held" in faults else ~missing
     channel = Channel(record.u, y, Clock(np.arange(n, dtype=float), n), keep, short.channel.step)
@@ -222,16 +221,14 @@ def _lengthened(record: Record, i: int, short: Examined, setting: Setting) -> Ex
     )  # fmt: skip
     naive = again(found.base, replace(channel, keep=~missing), True) if "held" in faults else found.base
     if "outliers" in faults:
-        channel = replace(channel, keep=keep & ~wild_samples(found.final.residual, keep))
+        channel = channel.without(wild_samples(found.final.residual, keep))
         found = replace(found, base=again(found.base, channel, True), final=again(found.final, channel))
     return Examined(channel, found, short.signatures, naive)
 
 
 def _examined(record: Record, i: int, setting: Setting, known: Known) -> Examined:
-    y = record.y[:, i].copy()
-    n = len(y)
-    missing = ~np.isfinite(y)
-    y[missing] = 0.0
+    n, missing = len(record), ~np.isfinite(record.y[:, i])
+    y = bridged(record.y[:, i], missing, ~missing)
     keep = ~missing
     clock = Clock(np.arange(n, dtype=float), n)
     signatures: list[Signature] = []
@@ -265,23 +262,23 @@ def _examined(record: Record, i: int, setting: Setting, known: Known) -> Examine
     ):  # a transient from the start, not faults: asked again
         wild[:] = False
     if wild.any():  # what stands out from the best single effect too
-        found = attribute(replace(channel, keep=keep & ~wild), s, menu, alpha=setting.alpha, most=1)
+        found = attribute(channel.without(wild), s, menu, alpha=setting.alpha, most=1)
         residual = y - simulate(found.final.structure, found.final.p, channel.u, clock)
         wild = _enough(
             wild_samples(residual, keep) & wild_samples(innovations(residual, found.final.noise), keep), n
         )
         if not wild.any() and not len(found.final.noise):
-            found = _refitted(replace(channel, keep=keep & ~wild), found)
+            found = _refitted(channel.without(wild), found)
         else:
-            found = attribute(replace(channel, keep=keep & ~wild), s, menu, alpha=setting.alpha)
+            found = attribute(channel.without(wild), s, menu, alpha=setting.alpha)
     else:
         found = attribute(channel, s, menu, alpha=setting.alpha, base=None if channel.step else first)
         if channel.step == 0.0 and found.chosen:
             residual = y - simulate(found.final.structure, found.final.p, channel.u, clock)
             wild = _enough(wild_samples(residual, keep), n)
             if wild.any():
-                found = _refitted(replace(channel, keep=keep & ~wild), found)
-    channel = replace(channel, keep=keep & ~wild)
+                found = _refitted(channel.without(wild), found)
+    channel = channel.without(wild)
     if channel.step == 0.0:
         found = _structured(channel, found, setting)
     if wild.any():
@@ -292,7 +289,7 @@ def _examined(record: Record, i: int, setting: Setting, known: Known) -> Examine
         expected = at_extremes(wild, channel.u, simulated) or _reversing(found, wild, simulated)
         if not still or size < max(4.0 * spread, ROUNDING * float(np.max(np.abs(y)))) or expected:
             # they stood out from a model error only, or by what rounding leaves
-            channel = replace(channel, keep=keep)
+            channel = replace(channel, y=y, keep=keep)
             return Examined(
                 channel, _simulating(channel, _refitted(channel, found), setting), signatures, naive
             )
@@ -379,7 +376,7 @@ def _wild(channel: Channel, s: Structure, first: Fit) -> NDArray[np.bool_]:
         if not found.any():
             break
         wild |= found
-        first = fit_linear(replace(channel, keep=keep & ~wild), s)
+        first = fit_linear(channel.without(wild), s)
     return _enough(wild, len(channel))
 
 

@@ -68,6 +68,28 @@ def test_a_class_is_found_to_the_noise(key):
     assert error(found[0]) < 1.35 * noise
 
 
+MISLED = ("stiction", "stiction_sliding", "orifices", "output_cutoff", "position_periodic", "refreshed", "reported_on_change", "clock_slips")  # fmt: skip
+OTHERS = ALL_CLASSES.keys() - {"wrapped", *MISLED}  # the turns of the first are counted from sample to sample
+
+
+@pytest.mark.parametrize(
+    "key", [*MISLED, *(pytest.param(key, marks=pytest.mark.slow) for key in sorted(OTHERS))]
+)
+def test_a_class_is_found_beside_spikes(key):
+    """Twelve of a thousand samples are six standard deviations off, and do not count: the searches of eight had found nothing, or half of it."""
+    channel, base, noise = record(key, 1.0)
+    rng = np.random.default_rng([3, *key.encode()])
+    at = rng.choice(np.arange(20, N - 20), 12, replace=False)
+    y, out = channel.y.copy(), np.isin(np.arange(N), at)
+    y[at] += 6.0 * np.std(y) * rng.choice([-1.0, 1.0], len(at))
+    spiky = replace(channel, y=y).without(out)
+    f = fit_linear(spiky, base.structure)
+    white = float(np.sum(f.residual**2)) / f.n
+    first = replace(f, noise=np.zeros(0), variance=white, deviance=f.n * np.log(white))
+    found = augmented(spiky, first, Menu((named(key.split()[0]),)))
+    assert min(map(error, found)) < 1.5 * noise
+
+
 @pytest.mark.parametrize("key", ALL_CLASSES)
 def test_a_class_is_not_claimed_on_the_same_rig_without_it(key):
     """One record per class, false-alarm rate 1 % of each: the corrected significance of the best fit."""

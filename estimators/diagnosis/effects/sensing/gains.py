@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
-from estimators.diagnosis.effects.output import mended
+from estimators.diagnosis.effects.output import KEPT, mended
 from estimators.diagnosis.effects.profiled import SWAY, ended, firm, rotating, swaying, waved
 from estimators.diagnosis.effects.sensing.sensors import settled
 
@@ -76,7 +76,7 @@ def _carried(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     from estimators.diagnosis.model.structure import Part
 
     s, n, whiten = base.structure, len(channel), np.concatenate(([1.0], base.noise))
-    if s.layout != "tf" or s.effects or n < 100 or not channel.keep.all():
+    if s.layout != "tf" or s.effects or n < 100 or np.mean(channel.keep) < KEPT:
         return
     starts: list[Array] = []
     passed = lambda x: np.asarray(lfilter(whiten, [1.0], x, axis=0))

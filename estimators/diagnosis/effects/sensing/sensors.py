@@ -13,7 +13,7 @@ from scipy.ndimage import maximum_filter1d
 from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
 from estimators.diagnosis.effects.input import moved
-from estimators.diagnosis.effects.output import in_step, mended, quickly_made, read_at
+from estimators.diagnosis.effects.output import KEPT, in_step, mended, quickly_made, read_at
 from estimators.diagnosis.effects.profiled import FINEST, ended, firm, of_order, profile
 
 Array = NDArray[Any]
@@ -38,14 +38,14 @@ def _reports(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     from estimators.diagnosis.model.structure import Part
 
     s, keep = base.structure, channel.keep
-    if s.layout != "tf" or s.effects or not keep.all():
+    if s.layout != "tf" or s.effects or np.mean(keep) < KEPT:
         return
     steps = np.abs(np.diff(channel.y))
     moved = steps > CLEAR_OF * 1.4826 * np.median(steps)
     if not (REPORTS <= moved.sum() <= (1.0 - STILL) * len(steps)):
         return
     seen = np.concatenate(([True], moved))
-    f = fit(replace(channel, keep=seen), s, base.p, base.scales, iterations=40, colour=False)
+    f = fit(replace(channel, keep=seen & keep), s, base.p, base.scales, iterations=40, colour=False)
     new = s.adding(Part(REPORTED, s.inputs[0]))
 
     def left(p: Array) -> float:
@@ -152,7 +152,7 @@ def _sines(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
 
     s, found = base.structure, []
     at = next((sl.start for part, sl in zip(s.parts, s.slices(), strict=True) if part.effect is OFFSET), None)
-    if s.layout != "tf" or s.effects or at is None or not channel.keep.all():
+    if s.layout != "tf" or s.effects or at is None or np.mean(channel.keep) < KEPT:
         return
     new = s.adding(Part(SINE))
     low, high = float(channel.y.min()), float(channel.y.max())
@@ -275,7 +275,7 @@ def _swings(channel: Any, base: Any) -> Iterator[tuple[float, Array]]:
     """Where the time base swings, the residual is the swing times the output's rate, a line in their product: its frequency and its
     cosine and sine parts."""
     s, r, n, k = base.structure, base.residual, len(channel), channel.clock.k
-    if s.layout != "tf" or s.effects or not channel.keep.all():
+    if s.layout != "tf" or s.effects or np.mean(channel.keep) < KEPT:
         return
     rate = np.gradient(channel.y - r)
     common = np.abs(np.fft.rfft(r * rate, FINER * n))
