@@ -257,6 +257,9 @@ STEEP = 0.8  # samples per sample by which a time base may swing at first: beyon
 SLIPS, PLACES, PERIODS = (0.7, 1.0, 1.4), (-0.06, 0.0, 0.06), (-0.5, -0.25, 0.0, 0.25, 0.5)
 """Of a clock that slips, beside what its first harmonic tells: sizes, places in a period, and periods by how much of one the last is off."""
 
+WHOLE, AS_GOOD = 41, 1.005
+"""Places that are tried with a period of whole samples, over two of them, and what it may leave, of the squares of any other."""
+
 
 def _mistimed(y: Array, p: Array, clock: Clock) -> Array:
     """The values a while before or after the samples, which swings about none."""
@@ -333,6 +336,15 @@ def _slippings(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any
                 found.append(tried[0])
                 best = tried[0][1][-3:]
     nearest = sorted(found, key=lambda entry: entry[0])[:2]
+    for left, p in nearest[
+        :1
+    ]:  # a clock is set right every so many samples: edges tell the period to a part of one only
+        whole = max(round(float(p[-3])), 3)
+        off = 0.5 * n * (1.0 / p[-3] - 1.0 / whole)
+        if abs(off) < 1.0 / whole:
+            places = p[-2] + off + (abs(off) + 1.0 / whole) * np.linspace(-1.0, 1.0, WHOLE)
+            tried = profile(channel, base, part, [[whole, place, p[-1]] for place in places], p)
+            nearest = tried[:1] if tried and tried[0][0] < AS_GOOD * left else nearest
     starts = (p for left, p in nearest if firm(base, left))
     yield from ended(channel, base, part, starts, [0.0, 0.0, 1.0])
 
