@@ -40,6 +40,18 @@ def autoregressions(covariance: NDArray[np.float64]) -> Iterator[tuple[NDArray[n
         yield a, variance
 
 
+def bridged(y: NDArray, out: NDArray[np.bool_], keep: NDArray[np.bool_]) -> NDArray:
+    """Samples (N,) with those that are `out` on lines between the nearest that count: what reads past outputs meets them there."""
+    if out.any() and keep.any():
+        y = np.where(out, np.interp(np.arange(len(y)), np.flatnonzero(keep), y[keep]), y)
+    return y
+
+
+def gapless(Y: NDArray) -> NDArray:
+    """Signals (N, ny) with their missing samples on lines between their neighbours."""
+    return np.column_stack([bridged(y, ~np.isfinite(y), np.isfinite(y)) for y in Y.T])
+
+
 def stable(f: NDArray, limit: float = 1.0) -> bool:
     """Whether 1 + f1 z^-1 + ..., f (n,) without its leading 1, has all its roots inside the circle: all reflection coefficients below
     a limit."""

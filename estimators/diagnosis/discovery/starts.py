@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.discovery.fitting import Fitted, Piece, fit
 from estimators.diagnosis.discovery.form import Difference, Form
+from estimators.residual.algebra import gapless
 from oed.data import Record
 
 Array = NDArray[Any]
@@ -62,7 +63,7 @@ class Scales:
 
 def scales_of(records: Sequence[Record], smooth: Sequence[Array], delay: Array) -> Scales:
     """Scales from the records; rates from smooth outputs (N, ny), where noise does not swell them."""
-    u, y = np.vstack([r.u for r in records]), np.vstack([np.nan_to_num(r.y) for r in records])
+    u, y = np.vstack([r.u for r in records]), np.vstack([gapless(r.y) for r in records])
     su, sy = np.maximum(u.std(axis=0), 1e-300), np.maximum(y.std(axis=0), 1e-300)
     change = np.sqrt(np.mean(np.vstack([np.diff(s, axis=0) for s in smooth]) ** 2, axis=0)) / sy
     change = np.maximum(change, 1e-6)
@@ -80,7 +81,7 @@ def _covered(scales: Scales, records: Sequence[Record], smooth: Sequence[Array])
     columns = []
     for r, s in zip(records, smooth):
         d = drive(r.u, scales)
-        y = (np.nan_to_num(r.y, nan=0.0) - scales.y) / scales.sy
+        y = (gapless(r.y) - scales.y) / scales.sy
         v = np.diff((s - scales.y) / scales.sy, axis=0, prepend=np.nan) / np.array(scales.steps)
         columns.append(np.hstack([y, np.nan_to_num(v), d[:, 1:]]))
     return np.vstack(columns)

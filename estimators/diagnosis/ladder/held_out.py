@@ -307,9 +307,7 @@ def _borne_after_all(
         if sane[j] and r.step.kind is not Kind.LINEAR and r.value < limit and r.step.told
     ]
     surely = lambda j, rows: difference_figure(off[answer][rows], off[j][rows]).low > 0.0
-    late = slice(
-        len(off[answer]) // 2, None
-    )  # where no start is heard any more: a better one alone is no effect
+    late = slice(len(off[answer]) // 2, None)  # a better start alone, which is not heard there, is no effect
     borne = [j for j in able if surely(j, slice(None)) and surely(j, late)]
     return min(borne, key=lambda j: ladder.rungs[j].value, default=answer)
 

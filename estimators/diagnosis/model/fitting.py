@@ -16,6 +16,7 @@ from estimators.diagnosis.model.edges import centred
 from estimators.diagnosis.model.rounding import deviance_residual, expected, rounded_deviance, told
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Structure
+from estimators.residual.algebra import bridged
 
 Array = NDArray[Any]
 WHOLE = 15
@@ -53,13 +54,6 @@ class Channel:
         """The channel where some samples (N,) more do not count."""
         keep = self.keep & ~out
         return replace(self, y=bridged(self.y, out, keep), keep=keep)
-
-
-def bridged(y: Array, out: NDArray[np.bool_], keep: NDArray[np.bool_]) -> Array:
-    """Samples (N,) with those that are `out` on lines between the nearest that count: what reads past outputs meets them there."""
-    if out.any() and keep.any():
-        y = np.where(out, np.interp(np.arange(len(y)), np.flatnonzero(keep), y[keep]), y)
-    return y
 
 
 @dataclass(frozen=True, eq=False)

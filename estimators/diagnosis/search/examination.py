@@ -12,7 +12,7 @@ from estimators.diagnosis.effects.added import OFFSET
 from estimators.diagnosis.effects.input import LINES, SANDWICH
 from estimators.diagnosis.effects.path import INITIAL, OUTFLOW
 from estimators.diagnosis.ladder.steps import ROUNDING
-from estimators.diagnosis.model.fitting import Channel, Fit, bridged, fit, innovations, leaving
+from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations, leaving
 from estimators.diagnosis.model.forces import balanced_fit, force_balance
 from estimators.diagnosis.model.linear import begun_linear, fit_linear
 from estimators.diagnosis.model.simulation import simulate
@@ -31,6 +31,7 @@ from estimators.diagnosis.search.blocks import curved, grown, sandwich
 from estimators.diagnosis.search.candidates import Menu
 from estimators.diagnosis.search.free_runs import denominator, largest_pole, thinned
 from estimators.diagnosis.search.selection import Attribution, attribute, feedback_of
+from estimators.residual.algebra import gapless
 from oed.data import Record
 
 Array = NDArray[Any]
@@ -148,7 +149,7 @@ def _thinning(y: Array, n_most: int = LONG) -> int:
 def examine(record: Record, i: int, setting: Setting, known: Known | None = None) -> Examined:
     """Find what the linear model of one output lacks."""
     known = Known(PHYSICAL + 1) if known is None else known
-    thin = _thinning(np.nan_to_num(record.y[:, i]))
+    thin = _thinning(gapless(record.y)[:, i])
     known = replace(
         known,
         delay=known.delay // thin,
@@ -173,7 +174,7 @@ def as_motion(record: Record, i: int, setting: Setting, known: Known) -> Examine
     """
     if setting.deviations or setting.orders or record.n_inputs != 1 or len(record) < LEAST_MOTION:
         return None
-    one = record.replace(y=np.nan_to_num(record.y[:, i : i + 1]), output_names=(), output_units=())
+    one = record.replace(y=gapless(record.y[:, i : i + 1]), output_names=(), output_units=())
     balance = force_balance(one)
     if balance.share < BALANCED or balance.coulomb[0] < DRY * balance.coulomb[1]:
         return None
@@ -195,7 +196,7 @@ def _lengthened(record: Record, i: int, short: Examined, setting: Setting) -> Ex
     """What was found on the first part of a long record, fitted to all of it."""
     n = len(record)
     missing = ~np.isfinite(record.y[:, i])
-    y = bridged(record.y[:, i], missing, ~missing)
+    y = gapless(record.y)[:, i]
     faults = {sig.key for sig in short.signatures}
     keep = ~missing & ~lost_samples(record.u, y) if "held" in faults else ~missing
     channel = Channel(record.u, y, Clock(np.arange(n, dtype=float), n), keep, short.channel.step)
@@ -228,7 +229,7 @@ def _lengthened(record: Record, i: int, short: Examined, setting: Setting) -> Ex
 
 def _examined(record: Record, i: int, setting: Setting, known: Known) -> Examined:
     n, missing = len(record), ~np.isfinite(record.y[:, i])
-    y = bridged(record.y[:, i], missing, ~missing)
+    y = gapless(record.y)[:, i]
     keep = ~missing
     clock = Clock(np.arange(n, dtype=float), n)
     signatures: list[Signature] = []

@@ -22,6 +22,7 @@ from estimators.diagnosis.discovery.uncertainty import _wider, covariance
 from estimators.diagnosis.policy import Effort, Setting
 from estimators.diagnosis.result.answers import read_answer
 from estimators.diagnosis.search.discoveries import discovered
+from estimators.residual.algebra import gapless
 from oed.data import Record
 
 KINDS = range(16)
@@ -337,3 +338,14 @@ def test_an_input_that_is_switched_between_two_levels_has_no_curve():
         kinds[name] = {f.kind for c in found for t in c.terms for f in t.factors if f.signal == "u0"}
     assert kinds["switched"] == {Kind.LINEAR}
     assert {Kind.SQUARE, Kind.ABS} < kinds["three levels"]
+
+
+def test_missing_samples_are_no_zeros_to_the_scales_of_terms(rng) -> None:
+    """At a level of 400 one missing sample in fifty had made the spread 56 in place of 1, and terms began at 0."""
+    u = rng.standard_normal(500)
+    y = 400.0 + lfilter([0.3], [1.0, -0.7], u)
+    gaps = np.where(np.arange(500) % 50 == 17, np.nan, y)
+    whole, seen = (scales_of([Record(u, x)], [y[:, None]], np.zeros(1, int)) for x in (y, gaps))
+    assert seen.sy[0] == pytest.approx(whole.sy[0], rel=0.03)
+    assert np.array(seen.bounds) == pytest.approx(np.array(whole.bounds), rel=0.03)
+    assert gapless(gaps[:, None])[17, 0] == pytest.approx(0.5 * (y[16] + y[18]))

@@ -336,9 +336,8 @@ def _slippings(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any
                 found.append(tried[0])
                 best = tried[0][1][-3:]
     nearest = sorted(found, key=lambda entry: entry[0])[:2]
-    for left, p in nearest[
-        :1
-    ]:  # a clock is set right every so many samples: edges tell the period to a part of one only
+    # a clock is set right every so many samples: edges tell the period to a part of one only
+    for left, p in nearest[:1]:
         whole = max(round(float(p[-3])), 3)
         off = 0.5 * n * (1.0 / p[-3] - 1.0 / whole)
         if abs(off) < 1.0 / whole:
