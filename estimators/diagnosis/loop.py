@@ -35,7 +35,7 @@ from estimators.diagnosis.ladder.steps import (
 from estimators.diagnosis.ladder.verdicts import verdict
 from estimators.diagnosis.policy import Setting
 from estimators.diagnosis.record.admission import together, told_from_clock
-from estimators.diagnosis.record.measurement import lost_samples, observations
+from estimators.diagnosis.record.measurement import lost_samples, observations, without_faults
 from estimators.diagnosis.remainder import Limits, fit_remainder, linear_footing, spliced
 from estimators.diagnosis.result.answers import LinearAnswer, RemainderAnswer, early
 from estimators.diagnosis.result.model import diagnosed_model
@@ -129,12 +129,15 @@ def diagnose(
     also = seen_elsewhere(first, [p[1] for p in parts], [p[2] for p in parts], _options(first, setting))
     parts = [(found, bench, n) for (found, bench, _), n in zip(parts, also, strict=True)]
     say("terms of no catalogue")
-    shares = [_shares(records, i, base, part[2].step) for i, part in enumerate(parts)]
+    # what is no measurement is none to what looks at the record anew
+    clean = [without_faults(first, [np.repeat(p[0].last.keep, p[1].thin) for p in parts]), *records[1:]]
+    plain = base if clean[0] is first else best_linear(clean, _options(first, setting))
+    shares = [_shares(clean, i, plain, part[2].step) for i, part in enumerate(parts)]
     done = [_exhausted(part, left) for part, (_, left) in zip(parts, shares, strict=True)]
-    terms = discovered(records, base, setting, _options(first, setting), done)
+    terms = discovered(clean, plain, setting, _options(first, setting), done)
     say("comparison on blocks not used")
     outcomes = [
-        _outcome(records, i, base, part, shares[i], terms[i], setting) for i, part in enumerate(parts)
+        _outcome(records, i, base, plain, part, shares[i], terms[i], setting) for i, part in enumerate(parts)
     ]
     held = _held_out(first, test, outcomes, setting)
     outcomes = [o.standing(step) for o, step in zip(outcomes, held.answered, strict=True)]
@@ -216,21 +219,18 @@ def _runs(step: Step, records: Sequence[Record], i: int, base: Baseline) -> tupl
 
 
 def _outcome(
-    records: Sequence[Record], i: int, base: Baseline, parts: Parts, shares: tuple[Share, Share], terms: Discovered,
+    records: Sequence[Record], i: int, base: Baseline, plain: Baseline, parts: Parts, shares: tuple[Share, Share], terms: Discovered,
     setting: Setting,
 ) -> Outcome:  # fmt: skip
-    """The ladder of one output."""
+    """The ladder of one output; `plain` the linear model without the samples that are no measurement."""
     found, bench, named = parts
     share, left = shares
     train, *others = records
     steps = [linear_step(base, i, bench.rest)]
     kept = np.repeat(found.last.keep, bench.thin)
-    out = np.flatnonzero(np.isfinite(train.y[: len(kept), i]) & ~kept)
-    if len(out):  # samples that are no measurement: the best linear model without them
-        y = train.y.copy()
-        y[out, i] = np.nan
-        clean = best_linear([train.replace(y=y), *others], _options(train, setting))
-        steps.append(linear_step(clean, i, bench.rest, tuple(sig.key for sig in found.signatures)))
+    faulty = bool(np.any(np.isfinite(train.y[: len(kept), i]) & ~kept))
+    if faulty:
+        steps.append(linear_step(plain, i, bench.rest, tuple(sig.key for sig in found.signatures)))
     if named.step is not None:  # no parameter of it saw the other records
         unseen = [named.step.simulate(r, base.blocks.window) for r in others]
         # From sample to sample of the record as it is.
@@ -257,7 +257,7 @@ def _outcome(
     ):
         why = ANYTHING if vague else "a linear predictor of the output gains nothing from it"
         named = named.without_claims(why)
-    least = int(len(out) > 0)
+    least = int(faulty)
     ladder = climb(y, steps, counted, setting.policy, least=least)
     if ladder.chosen.kind is Kind.DISCOVERED:
         without = refused(steps, Kind.DISCOVERED)

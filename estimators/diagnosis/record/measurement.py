@@ -274,3 +274,11 @@ def observations(records: Sequence[Record]) -> tuple[str, ...]:
             "the input goes with the clock: what changes with time cannot be told from what depends on the level, and is not looked for"
         )
     return tuple(said)
+
+
+def without_faults(record: Record, kept: Sequence[NDArray[np.bool_]]) -> Record:
+    """The record, its samples that are no measurement, by output those (n,) not `kept`, as missing; itself where there are none."""
+    y = record.y.copy()
+    for column, keep in zip(y.T, kept, strict=True):
+        column[: len(keep)][~keep] = np.nan
+    return record if np.isfinite(y).sum() == np.isfinite(record.y).sum() else record.replace(y=y)
