@@ -130,7 +130,7 @@ def diagnose(
     parts = [(found, bench, n) for (found, bench, _), n in zip(parts, also, strict=True)]
     say("terms of no catalogue")
     # what is no measurement is none to what looks at the record anew
-    clean = [without_faults(first, [np.repeat(p[0].last.keep, p[1].thin) for p in parts]), *records[1:]]
+    clean = [without_faults(first, [bench.kept for _, bench, _ in parts]), *records[1:]]
     plain = base if clean[0] is first else best_linear(clean, _options(first, setting))
     shares = [_shares(clean, i, plain, part[2].step) for i, part in enumerate(parts)]
     done = [_exhausted(part, left) for part, (_, left) in zip(parts, shares, strict=True)]
@@ -227,8 +227,7 @@ def _outcome(
     share, left = shares
     train, *others = records
     steps = [linear_step(base, i, bench.rest)]
-    kept = np.repeat(found.last.keep, bench.thin)
-    faulty = bool(np.any(np.isfinite(train.y[: len(kept), i]) & ~kept))
+    faulty = bool(np.any(np.isfinite(train.y[: len(bench.kept), i]) & ~bench.kept))
     if faulty:
         steps.append(linear_step(plain, i, bench.rest, tuple(sig.key for sig in found.signatures)))
     if named.step is not None:  # no parameter of it saw the other records

@@ -77,11 +77,15 @@ class Bench:
     known: dict[Fit, tuple[Array, tuple[Array, ...]]] = field(default_factory=dict)
 
     @property
+    def kept(self) -> NDArray[np.bool_]:
+        """(n,) samples of the record, all but a rest of its thinning, that are measurements."""
+        return np.repeat(self.channel.keep, self.thin)
+
+    @property
     def counted(self) -> NDArray[np.bool_]:
         """(N,) samples that count: measured, after a block's window, neither held nor wild."""
         use = self.base.blocks.counting([self.train])[0][:, self.output].copy()
-        keep = np.repeat(self.channel.keep, self.thin)
-        use[: len(keep)] &= keep[: len(use)]
+        use[: len(self.kept)] &= self.kept[: len(use)]
         return use
 
     def stands(self, n: Named) -> bool:

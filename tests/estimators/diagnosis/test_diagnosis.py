@@ -48,14 +48,20 @@ def test_nothing_is_found_in_a_linear_record():
     np.testing.assert_array_equal(result.yhat_before, result.yhat_after)
 
 
-def test_terms_are_looked_for_only_where_something_is_left(monkeypatch):
-    asked = []
+@pytest.fixture
+def asked(monkeypatch) -> list[tuple]:
+    """What the search for terms was called with; it finds none."""
+    calls = []
 
     def spy(*arguments):
-        asked.append(arguments)
+        calls.append(arguments)
         return Discovery(None)
 
     monkeypatch.setattr(discoveries, "discover", spy)
+    return calls
+
+
+def test_terms_are_looked_for_only_where_something_is_left(asked):
     rng = np.random.default_rng(11)
     diagnose(linear_record(rng, 500), None, SETTING)
     assert not asked
@@ -65,15 +71,8 @@ def test_terms_are_looked_for_only_where_something_is_left(monkeypatch):
     assert len(asked) == 1  # noise that is not white could be a term
 
 
-def test_what_stands_out_is_missing_to_what_is_discovered(monkeypatch):
+def test_what_stands_out_is_missing_to_what_is_discovered(asked):
     """Spikes in a hundredth of a damper's samples had doubled what its discovered curve left: 5.93 mm, 3.03 now, 2.82 without them."""
-    asked = []
-
-    def spy(*arguments):
-        asked.append(arguments)
-        return Discovery(None)
-
-    monkeypatch.setattr(discoveries, "discover", spy)
     rng = np.random.default_rng(11)
     train = linear_record(rng, 500, bend=-0.08)
     at = np.sort(rng.choice(np.arange(20, 480), 8, replace=False))

@@ -76,7 +76,7 @@ OTHERS = ALL_CLASSES.keys() - {"wrapped", *MISLED}  # the turns of the first are
     "key", [*MISLED, *(pytest.param(key, marks=pytest.mark.slow) for key in sorted(OTHERS))]
 )
 def test_a_class_is_found_beside_spikes(key):
-    """Twelve of a thousand samples are six standard deviations off, and do not count: the searches of eight had found nothing, or half of it."""
+    """Twelve of 700 samples are six standard deviations off, and do not count: the searches of eight had found nothing, or half of it."""
     channel, base, noise = record(key, 1.0)
     rng = np.random.default_rng([3, *key.encode()])
     at = rng.choice(np.arange(20, N - 20), 12, replace=False)

@@ -167,9 +167,8 @@ def test_named_effects_lend_their_names_only_to_an_answer_that_they_nearly_are()
         o = Outcome(0, None, found, ladder, None, None, terms)  # pyright: ignore[reportArgumentType]
         assert o.named_carries(POLICY) is lent
         assert o.agrees("a", "anything") is (terms.terms[0].nature == "a")
-        found.claims.append(
-            other
-        )  # two effects are no simpler a cause than one term: a loss was heat and a gain that swings
+        # two effects are no simpler a cause than one term: a loss was heat and a gain that swings
+        found.claims.append(other)
         assert not o.named_carries(POLICY)
     drag = SimpleNamespace(nature="dynamic nonlinearity", weight=1.0, output=0, same_as="nonlinear_drag")
     o = Outcome(0, None, None, None, None, None, SimpleNamespace(terms=[drag]))  # pyright: ignore[reportArgumentType]
