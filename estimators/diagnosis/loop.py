@@ -269,11 +269,14 @@ def _outcome(
     if terms.found.sought and above.explainable:  # else unused blocks have said that nothing of it lasts
         rest = _remainder_step(records, i, base, ladder, above, setting)
     if rest is not None and not bench.echoes(rest.unused[0]):
-        ladder = climb(y, steps := [*steps, rest], counted, setting.policy, least=least)
-    make = lambda bare: _remainder_step(records, i, base, bare, share, setting)
-    rest = over_linear(ladder, share.predicted[1] if share.explainable else 0.0, make, y, setting.policy)
-    if rest is not None and not bench.echoes(rest.unused[0]):
         ladder = climb(y, [*steps, rest], counted, setting.policy, least=least)
+
+    def alone(bare: Ladder) -> Step | None:
+        step = _remainder_step(records, i, base, bare, share, setting)
+        return None if step is None or bench.echoes(step.unused[0]) else step
+
+    most = share.predicted[1] if share.explainable else 0.0
+    ladder = over_linear(ladder, most, alone, y, setting.policy)
     # What the answer explains was no noise that an input answers.
     errors = [r.y[:, i] - ladder.chosen.simulate(r, base.blocks.window) for r in records]
     echo = bench.inverse and has_feedback(records, errors, counted)

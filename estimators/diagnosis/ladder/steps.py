@@ -299,16 +299,22 @@ def over_linear(
     make: Callable[[Ladder], Step | None],
     measured: Sequence[Array],
     policy: Policy,
-) -> Step | None:
-    """A step made on the linear model itself, where `most` that can be explained is more than the answer does and the step does more: what is
-    named or found may be one piece of what is missing, and a regression of it all does not need that."""
+) -> Ladder:
+    """The ladder with a step made on the linear model itself, where `most` that can be explained is more than the answer does: what is
+    named or found may be one piece of what is missing, and a regression of it all does not need that. It is the answer where it surely
+    does more, and else stands by for an answer that a record turns out not to determine."""
     if ladder.exact or not most > ladder.explained:
-        return None
+        return ladder
     linear = next(k for k, r in enumerate(ladder.rungs) if r.step is ladder.linear)
     if (step := make(replace(ladder, answer=linear))) is None:
-        return None
+        return ladder
     gain = paired_gain(measured, ladder.chosen.unused, step.unused, ladder.counted, policy)
-    return step if gain.meets((policy.searched[0], policy.lasting)) else None
+    more = gain.meets((policy.searched[0], policy.lasting))
+    errors = unused_errors(measured, step, ladder.counted)
+    against = errors if more else ladder.rungs[ladder.answer].errors
+    rungs = [replace(r, figure=together([r.errors], [against])) for r in ladder.rungs]
+    rungs.append(Rung(step, errors, together([errors], [against])))
+    return replace(ladder, rungs=tuple(rungs), answer=len(rungs) - 1 if more else ladder.answer)
 
 
 def is_sane(run: Array, linear: Array, y: Array, policy: Policy) -> bool:

@@ -227,6 +227,10 @@ def _lengthened(record: Record, i: int, short: Examined, setting: Setting) -> Ex
     return Examined(channel, found, short.signatures, naive)
 
 
+ALIKE = 0.1
+"""Share of the wild samples that may have changed for what was found without them to be fitted again, not looked for anew."""
+
+
 def _examined(record: Record, i: int, setting: Setting, known: Known) -> Examined:
     n, missing = len(record), ~np.isfinite(record.y[:, i])
     y = gapless(record.y)[:, i]
@@ -264,14 +268,15 @@ def _examined(record: Record, i: int, setting: Setting, known: Known) -> Examine
         wild[:] = False
     if wild.any():  # what stands out from the best single effect too
         found = attribute(channel.without(wild), s, menu, alpha=setting.alpha, most=1)
-        residual = y - simulate(found.final.structure, found.final.p, channel.u, clock)
+        residual, first_wild = y - simulate(found.final.structure, found.final.p, channel.u, clock), wild
         wild = _enough(
             wild_samples(residual, keep) & wild_samples(innovations(residual, found.final.noise), keep), n
         )
         if not wild.any() and not len(found.final.noise):
             found = _refitted(channel.without(wild), found)
         else:
-            found = attribute(channel.without(wild), s, menu, alpha=setting.alpha)
+            singles = [c.fit for c in found.claims if np.sum(wild != first_wild) <= ALIKE * first_wild.sum()]
+            found = attribute(channel.without(wild), s, menu, alpha=setting.alpha, singles=singles)
     else:
         found = attribute(channel, s, menu, alpha=setting.alpha, base=None if channel.step else first)
         if channel.step == 0.0 and found.chosen:

@@ -171,12 +171,12 @@ def _per_key(fits: list[Fit], position: int) -> list[Fit]:
 
 def attribute(
     channel: Channel, s: Structure, menu: Menu = EVERYTHING, *, alpha: float = 0.01, most: int = 3, feedback: bool = True,
-    base: Fit | None = None,
+    base: Fit | None = None, singles: Sequence[Fit] = (),
 ) -> Attribution:  # fmt: skip
     """Find what a linear model of one output lacks: at most `most` effects of a menu, the noise model not counted.
 
     alpha is the false-alarm rate over all effects together; `feedback` whether to test for it; `base` the linear model where
-    it is known.
+    it is known; `singles` fits with one effect each, where all but a few of the samples were searched for them before.
     """
     base = fit_linear(channel, s) if base is None else base
     coloured = base
@@ -187,11 +187,13 @@ def attribute(
         coloured = min((coloured, again), key=lambda f: f.criterion)
     white = _white(base)
     position = len(s.parts)
-    fits = _finished(channel, list(augmented(channel, white, menu, iterations=FEW, top=menu.top)))
+    again = (fit(channel, f.structure, f.p, f.scales, iterations=FEW) for f in singles)
+    fits = list(again if singles else augmented(channel, white, menu, iterations=FEW, top=menu.top))
+    fits = _finished(channel, fits)
     simulated = _explained(white, fits, position) if s.base else {}
     alternatives = _alternatives(fits, position) if s.base else ()
     fits = _settled(channel, fits, 6)
-    if len(coloured.noise) and not s.base and (not fits or len(fits[0].noise)):
+    if not singles and len(coloured.noise) and not s.base and (not fits or len(fits[0].noise)):
         more = list(augmented(channel, coloured, menu, best=1, iterations=15, top=menu.top))
         fits = _settled(channel, _per_key(fits + more, position), 4)
     fits = _per_key(fits, position)

@@ -17,7 +17,7 @@ from estimators.diagnosis.ladder.asked import begun, outside
 from estimators.diagnosis.ladder.figures import together
 from estimators.diagnosis.ladder.held_out import _borne_after_all, continues, onward
 from estimators.diagnosis.ladder.outcome import Outcome
-from estimators.diagnosis.ladder.steps import over_linear, refused
+from estimators.diagnosis.ladder.steps import Ladder, over_linear, refused
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.result.answers import LinearAnswer
 from oed.data import Record
@@ -80,20 +80,24 @@ def test_a_regression_of_all_that_is_missing_need_not_stand_on_one_piece_of_it()
     assert 0.0 < ladder.explained < 0.5
     rng, asked = np.random.default_rng(5), []
 
-    def found(most: float, size: float) -> Step | None:
+    def found(most: float, size: float) -> Ladder:
         def make(bare):
             asked.append(bare.chosen)
             return _step(Kind.REMAINDER, size * rng.standard_normal(N)) if size < 9.0 else None
 
         return over_linear(ladder, most, make, y, POLICY)
 
-    assert found(ladder.explained, 0.0) is None
+    assert found(ladder.explained, 0.0) is ladder
     assert not asked  # nothing more to explain: none is fitted
-    assert found(0.9, 9.0) is None
-    assert found(0.9, 0.9) is None  # not a third less than the answer
+    assert found(0.9, 9.0) is ladder
+    standing_by = found(0.9, 0.9)  # not a third less than the answer
+    assert standing_by.chosen is ladder.chosen
+    assert [r.step.kind for r in standing_by.rungs[len(ladder.rungs) :]] == [Kind.REMAINDER]
     better = found(0.9, 0.1)
-    assert better is not None
-    assert climb(y, [*steps, better], COUNTED, POLICY).chosen is better
+    assert better.chosen.kind is Kind.REMAINDER
+    again = climb(y, [*steps, better.chosen], COUNTED, POLICY)
+    assert again.chosen is better.chosen
+    assert [r.figure for r in again.rungs] == [r.figure for r in better.rungs]
     assert all(step is ladder.linear for step in asked)
 
 
@@ -109,8 +113,9 @@ def test_of_an_error_of_rounding_alone_every_share_is_a_number(rest: float, exac
     assert ladder.explained == 0.0
     assert ladder.exact is exact  # an error as large as the record is no rounding, however small both are
     assert ladder.left(1e10) >= 1.0
-    assert over_linear(ladder, 0.9, lambda bare: steps[1], y, POLICY) is None
-    assert over_linear(replace(ladder, answer=1), 0.9, lambda bare: None, y, POLICY) is None
+    assert exact == (over_linear(ladder, 0.9, lambda bare: steps[1], y, POLICY) is ladder)
+    other = replace(ladder, answer=1)
+    assert over_linear(other, 0.9, lambda bare: None, y, POLICY) is other
 
 
 def test_the_gain_of_nothing_passes_one_standard_error_in_about_a_sixth() -> None:

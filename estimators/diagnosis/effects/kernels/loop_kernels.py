@@ -5,6 +5,7 @@ CasADi defines the same steps in `symbols.parts`; a test holds the two to 1e-9.
 
 import numpy as np
 
+from estimators.diagnosis.effects.kernels.plant_kernels import held_response
 from estimators.diagnosis.effects.kernels.recursion_kernels import WITHIN, compiled, written
 
 COURSE = 2
@@ -102,5 +103,81 @@ def switched(signal, rate, push, share, low, high, start):  # pragma: no cover -
                 x = signal[k] + (x - signal[k]) * passive
             on = x > high or (on and x >= low)
         if not written(out, k, x):
+            return out
+    return out
+
+
+@compiled
+def geared_matrices(p, torque):  # pragma: no cover - compiled
+    """Transitions (2, 4, 4) of a geared drive over one of `WITHIN` steps, out of contact and in it, and the responses (2, 4, 2) to the
+    input and to the torque that half the play takes away."""
+    own, damping, reaction, stiff, contact, friction = p[0] ** 2, p[1], p[2], p[3] ** 2, p[4], p[5]
+    a, columns = np.zeros((4, 4)), np.zeros((4, 2))
+    a[0, 1] = a[2, 3] = 1.0
+    a[1, 0], a[1, 1], a[3, 3] = 0.0 if torque else -own, -damping, -friction
+    columns[1, 0] = damping if torque else own
+    phi, gamma = np.empty((2, 4, 4)), np.empty((2, 4, 2))
+    phi[0], gamma[0] = held_response(a, columns, 1.0 / WITHIN)
+    columns[1, 1], columns[3, 1] = reaction * stiff, -stiff
+    for row, share in ((1, -reaction), (3, 1.0)):
+        a[row, 0] += share * stiff
+        a[row, 1] += share * contact
+        a[row, 2] -= share * stiff
+        a[row, 3] -= share * contact
+    phi[1], gamma[1] = held_response(a, columns, 1.0 / WITHIN)
+    return phi, gamma
+
+
+@compiled
+def geared_at_rest(p, start, torque):  # pragma: no cover - compiled
+    """The states of a geared drive that has settled under a torque, or in the middle of its play where it stands still."""
+    x = np.zeros(4)
+    if torque:
+        x[1] = x[3] = start * p[1] / max(p[1] + p[2] * p[5], 1e-300)
+        x[0] = p[5] * x[3] / p[3] ** 2 + p[6] * np.sign(x[3])
+    else:
+        x[0] = x[2] = start
+    return x
+
+
+@compiled
+def beyond(at, move, edge):  # pragma: no cover - compiled
+    """The share of a step in which what is moved evenly is beyond an edge."""
+    if move > 0.0:
+        return min(max((at + move - edge) / move, 0.0), 1.0)
+    if move < 0.0:
+        return min(max((edge - at) / move, 0.0), 1.0)
+    return 1.0 if at > edge else 0.0
+
+
+@compiled
+def geared(signal, p, start, torque, seen):  # pragma: no cover - compiled
+    """One of the states (`seen`: angle and speed of the drive, of the load) at the end of each sample, of a drive that moves a load
+    through an elastic gear with play: by its torque, or to a held set point as a servo.
+
+    p: natural frequency of the servo, its damping, the load's share of its inertia, natural frequency of the gear on the load alone,
+    its damping in contact, friction of the load, half the play; settled under `start`. `WITHIN` steps per sample, exact but for the ones
+    in which contact comes or goes: a step in contact and one without, in the shares of it that an even motion would have.
+    """
+    out = np.empty_like(signal)
+    phi, gamma = geared_matrices(p, torque)
+    half = p[6]
+    x, ahead = geared_at_rest(p, start, torque), np.zeros(4)
+    h = 1.0 / WITHIN
+    for k in range(signal.shape[0]):
+        for _ in range(WITHIN):
+            twist = x[0] - x[2]
+            turn = h * (x[1] - x[3])
+            above, below = beyond(twist, turn, half), beyond(-twist, -turn, half)
+            for i in range(4):
+                free, touching = gamma[0, i, 0] * signal[k], gamma[1, i, 0] * signal[k]
+                for j in range(4):
+                    free += phi[0, i, j] * x[j]
+                    touching += phi[1, i, j] * x[j]
+                ahead[i] = (
+                    free + (above + below) * (touching - free) + (above - below) * gamma[1, i, 1] * half
+                )
+            x[:] = ahead
+        if not written(out, k, x[seen]):
             return out
     return out

@@ -1,5 +1,6 @@
 """Hidden loops between the input and the linear part, and what remembers there."""
 
+from estimators.diagnosis.effects.loops.geared import GEARED
 from estimators.diagnosis.effects.loops.limited import (
     COURSED,
     PACES,
@@ -35,4 +36,5 @@ LOOPS = (
     SIDE_BY_SIDE,
     PLAYED,
     RECYCLE,
+    *GEARED,
 )

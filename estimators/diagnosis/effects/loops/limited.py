@@ -118,15 +118,17 @@ def _switching(slowest: float, u: Array) -> Iterator[list[float]]:
                 yield [faster * slowest, push * wide, 0.0, float(low), float(high)]
 
 
-def _nearer(channel: Any, bare: Any, part: Any, tried: list[tuple[float, Array]]) -> list[Array]:
-    """The parameters after steps of one of the shape's after the other, and of both rates, by factors that shrink, while one after the
-    other of the shapes gives way: where an actuator turns at its limit the error has valleys that no derivative leads to."""
+def _nearer(
+    channel: Any, bare: Any, part: Any, tried: list[tuple[float, Array]], moves: Array
+) -> list[Array]:
+    """The parameters after steps of one of the shape's after the other, and of some together, by factors that shrink, while one after
+    the other of the shapes gives way: where an actuator turns at its limit the error has valleys that no derivative leads to."""
     count = len(part.effect.parameters)
     for stay, factor in zip(range(len(FACTORS), 0, -1), FACTORS, strict=True):
         tried = sorted(tried, key=lambda entry: entry[0])[:stay]
         for i, best in enumerate(tried):
             for _ in range(PASSES):
-                shapes = best[1][-count:] * factor ** np.concatenate((MOVES, -MOVES))
+                shapes = best[1][-count:] * factor ** np.concatenate((moves, -moves))
                 found = profile(channel, bare, part, shapes, best[1])[:1]
                 if not found or not found[0][0] < best[0]:
                     break
@@ -153,16 +155,19 @@ def slowest_rate(den: Array, n: int) -> float:
     return float(np.clip(first, 0.3 / n, 1.0))
 
 
-def _shaped(effect: Any, shapes: Any, steps: Any, near: float = 1.0) -> Any:
+def shaped(
+    effect: Any, shapes: Any, steps: Any, near: float = 1.0, moves: Array = MOVES, least: int = 1
+) -> Any:
     """The search of an effect over the shapes of a loop; `steps` sizes of its parameters for a slowest pole and an input, `near` how
-    far above the linear model's squares the best shape may be, from where a fit finds the way."""
+    far above the linear model's squares the best shape may be, from where a fit finds the way after `moves`, `least` the order from
+    which on a linear model may stand for one."""
 
     def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterable[Any]:
         from estimators.diagnosis.model.structure import Part
         from estimators.diagnosis.search.free_runs import denominator
 
         s = base.structure
-        if s.layout != "tf" or len(s.inputs) != 1 or s.order < 1:
+        if s.layout != "tf" or len(s.inputs) != 1 or s.order < least:
             return
         slowest = slowest_rate(denominator(base), len(channel))
         u = np.ascontiguousarray(channel.u[:, s.inputs[0]])
@@ -177,11 +182,11 @@ def _shaped(effect: Any, shapes: Any, steps: Any, near: float = 1.0) -> Any:
             return
         starts = [q for _, q in tried[:BEGUN]]
         if near > 1.0:
-            starts = _nearer(channel, bare, part, tried)
+            starts = _nearer(channel, bare, part, tried, moves)
         for f in ended(channel, bare, part, starts, steps(slowest, float(np.std(u)))):
             if firm(base, float(np.sum(f.residual**2))):
                 yield f
-                yield from _behind(channel, f) if near > 1.0 and len(f.noise) else ()
+                yield from _behind(channel, f) if moves is MOVES and near > 1.0 and len(f.noise) else ()
 
     return search
 
@@ -190,21 +195,21 @@ WINDUP = Effect(
     key="wind_up", cause="wind_up", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=50, apply=_applied(_wound_up),
     sentence="a loop of its own follows the input, its actuator is limited, and its integrator winds up",
     parameters={"plant": "1/sample", "proportional": "1", "integral": "1/sample", "low": "u", "high": "u"},
-    search=_shaped(lambda: WINDUP, _controlled, lambda slowest, su: [slowest, 1.0, slowest, su, su]),
+    search=shaped(lambda: WINDUP, _controlled, lambda slowest, su: [slowest, 1.0, slowest, su, su]),
 )  # fmt: skip
 
 RELAY = Effect(
     key="relay_feedback", cause="relay_with_hysteresis", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=100, apply=_applied(_switched),
     sentence="a relay with hysteresis, a thermostat, switches something on and off as what the input drives passes two levels",
     parameters={"rate": "1/sample", "push": "u", "share": "1", "low": "u", "high": "u"},
-    search=_shaped(lambda: RELAY, _switching, lambda slowest, su: [slowest, su, 1.0, *[1e6 * CROSSED * su] * 2]),
+    search=shaped(lambda: RELAY, _switching, lambda slowest, su: [slowest, su, 1.0, *[1e6 * CROSSED * su] * 2]),
 )  # fmt: skip
 
 STEERED, STEERING, COURSED = (
     Effect(
         key=key, cause="rate_limiter", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=50, apply=_applied(_steered(which)), sentence=sentence,
         parameters={"plant": "1/sample", "proportional": "1", "integral": "1/sample", "up": f"u/sample{unit}", "down": f"u/sample{unit}", "lag": "sample", "behind": "sample"},
-        search=_shaped(lambda which=which: (STEERED, STEERING, COURSED)[which], partial(_ramping, course=bool(unit)),
+        search=shaped(lambda which=which: (STEERED, STEERING, COURSED)[which], partial(_ramping, course=bool(unit)),
                        lambda slowest, su, steep=1 + bool(unit): [slowest, 1.0, slowest, *[slowest**steep * su] * 2, 1.0, 0.0], NEAR),
     )
     for which, (key, unit, sentence) in enumerate((

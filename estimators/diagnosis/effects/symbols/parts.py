@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from estimators.diagnosis.effects import named
 from estimators.diagnosis.effects.effect import Clock, Effect
 from estimators.diagnosis.effects.input import aside
-from estimators.diagnosis.effects.kernels.loop_kernels import COURSE
 from estimators.diagnosis.effects.kernels.recursion_kernels import LEAST_PACE, WITHIN, warm_rest
 from estimators.diagnosis.effects.loops import play_widths
 from estimators.diagnosis.effects.path import curve_of_charge
@@ -18,6 +17,7 @@ from estimators.diagnosis.effects.process import Passing
 from estimators.diagnosis.effects.sensing.gains import law_of
 from estimators.diagnosis.effects.sensing.turns import TOP
 from estimators.diagnosis.effects.symbols import terms
+from estimators.diagnosis.effects.symbols.loops import LOOPED
 from estimators.diagnosis.effects.symbols.wiring import Wiring
 
 Array = NDArray[Any]
@@ -50,59 +50,6 @@ def _paced(w: Wiring, x: Any, p: Array) -> Any:
 
 def _side_by_side(w: Wiring, x: Any, p: Array) -> Any:
     return x + sum(a * _play(w, x, half, p[-1]) for a, half in zip(p[1:-1], play_widths(p[0]), strict=True))
-
-
-def _servo(which: int) -> Callable[[Wiring, Any, Array], Any]:
-    def limited(w: Wiring, x: Any, p: Array) -> Any:
-        s = w.state(w.value(x))
-        out = terms.servo_step()(s.x, x, abs(p[0]), abs(p[len(p) // 2]), abs(p[2]) if len(p) > 2 else 0.0)
-        s.after = out[0]
-        return out[which]
-
-    return limited
-
-
-def _wound_up(w: Wiring, x: Any, p: Array) -> Any:
-    pace, proportional, integral = (abs(float(v)) for v in p[:3])
-    level = float(np.clip(w.value(x), p[3], p[4]))
-    s = w.state([level, level])
-    y, i, h = s.x[0], s.x[1], 1.0 / WITHIN
-    limited = lambda e, i: w.ca.fmin(w.ca.fmax(proportional * e + i, p[3]), p[4])
-    for _ in range(WITHIN):
-        middle, then = y + 0.5 * h * pace * (limited(x - y, i) - y), i + 0.5 * h * integral * (x - y)
-        y, i = y + h * pace * (limited(x - middle, then) - middle), i + h * integral * (x - middle)
-    s.after = w.ca.vertcat(y, i)
-    return y
-
-
-def _steered(which: int) -> Callable[[Wiring, Any, Array], Any]:
-    def steered(w: Wiring, x: Any, p: Array) -> Any:
-        pace, proportional, integral, up, down, lag, behind = (max(abs(float(v)), 1e-9) for v in p)
-        start = w.value(x)
-        state = w.state([0.0, 0.0, 0.0, 0.0, start] if which == COURSE else [start] * 5)
-        h, fmin, fmax = 1.0 / WITHIN, w.ca.fmin, w.ca.fmax
-        y, z, i, s, at = (state.x[j] for j in range(5))
-        stays, still = np.exp(-h / behind), np.exp(-h * pace)
-        for _ in range(WITHIN):
-            e = x - y
-            middle = e - 0.5 * h * pace * (z - y)
-            if which == COURSE:
-                gap = integral * (x - at - 0.5 * h * y) + proportional * (middle - x) - s
-            else:
-                gap = proportional * middle + i + 0.5 * h * integral * e - s
-            rate, size = w.ca.if_else(gap > 0.0, up, down), w.ca.fabs(gap)
-            full = fmin(fmax(size / rate - lag, 0.0), h)
-            left = (size - rate * full) * w.ca.exp(-(h - full) / lag)
-            then = w.ca.if_else(gap > 0.0, s + size - left, s - size + left)
-            drive, z = z, 0.5 * (s + then) + (z - 0.5 * (s + then)) * stays
-            drive = 0.5 * (drive + z)
-            at = at + 0.5 * h * y
-            y, s, i = drive + (y - drive) * still, then, i + h * integral * middle
-            at = at + 0.5 * h * y
-        state.after = w.ca.vertcat(y, z, i, s, at)
-        return (y, s, at)[which]
-
-    return steered
 
 
 def _of_angle(w: Wiring, x: Any, p: Array) -> Any:
@@ -141,20 +88,6 @@ def _warmed(w: Wiring, x: Any, p: Array) -> Any:
             warm + h * pace * (loss(then) * middle * middle - then),
         )
     s.after = w.ca.vertcat(y, warm)
-    return y
-
-
-def _switched(w: Wiring, x: Any, p: Array) -> Any:
-    rate, push, share, (low, high) = abs(float(p[0])), float(p[1]), float(p[2]), sorted(map(float, p[3:]))
-    level = w.value(x)
-    first = level > high
-    s = w.state([(level + push) / (1.0 - share) if first and share < 1.0 else level, float(first)])
-    y, on, passive, active = s.x[0], s.x[1], np.exp(-rate / WITHIN), np.exp(-rate * (1.0 - share) / WITHIN)
-    for _ in range(WITHIN):
-        rest = (x + push) / (1.0 - share) if share != 1.0 else y
-        y = w.ca.if_else(on > 0.5, rest + (y - rest) * active, x + (y - x) * passive)
-        on = w.ca.logic_or(y > high, w.ca.logic_and(on > 0.5, y >= low))
-    s.after = w.ca.vertcat(y, on)
     return y
 
 
@@ -249,8 +182,7 @@ def _levelled(w: Wiring, x: Any, p: Array) -> Any:
 
 TWINS: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
     "plays": _side_by_side, "plays_output": _side_by_side,
-    "backlash_input": lambda w, x, p: _play(w, x, abs(p[0]), p[1]), "backlash_sampled": lambda w, x, p: _play(w, x, abs(p[0])), "rate_limit": _servo(1), "rate_limit_sampled": _servo(0),
-    "rate_limit_servo": _servo(1), "wind_up": _wound_up, "relay_feedback": _switched, "rate_in_loop": _steered(0), "rate_of_loop": _steered(1), "rate_in_course": _steered(COURSE),
+    "backlash_input": lambda w, x, p: _play(w, x, abs(p[0]), p[1]), "backlash_sampled": lambda w, x, p: _play(w, x, abs(p[0])), **LOOPED,
     "gain_of_angle": _of_angle, "gain_fatigue": _used_up, "gain_worn": _worn, "loss_heat": _warmed, "stiction": _stem(False), "stiction_sliding": _stem(True), "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag, "recycle": _recycled,
     "gain_heat": _heated, "integral_curve": _store, "sandwich": _line, "input_lines": _line_from_origin,
     "output_lines": _line_from_origin, "reported_on_change": _reported, "sensor_paced": _paced, "automatic_gain": _levelled,

@@ -1,0 +1,113 @@
+"""Hidden loops between the input and the linear part, as parts of a step."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.effects.kernels.loop_kernels import COURSE, geared_at_rest, geared_matrices
+from estimators.diagnosis.effects.kernels.recursion_kernels import WITHIN
+from estimators.diagnosis.effects.loops.geared import GEARED, of_drive
+from estimators.diagnosis.effects.symbols import terms
+from estimators.diagnosis.effects.symbols.wiring import Wiring
+
+Array = NDArray[Any]
+
+
+def _servo(which: int) -> Callable[[Wiring, Any, Array], Any]:
+    def limited(w: Wiring, x: Any, p: Array) -> Any:
+        s = w.state(w.value(x))
+        out = terms.servo_step()(s.x, x, abs(p[0]), abs(p[len(p) // 2]), abs(p[2]) if len(p) > 2 else 0.0)
+        s.after = out[0]
+        return out[which]
+
+    return limited
+
+
+def _wound_up(w: Wiring, x: Any, p: Array) -> Any:
+    pace, proportional, integral = (abs(float(v)) for v in p[:3])
+    level = float(np.clip(w.value(x), p[3], p[4]))
+    s = w.state([level, level])
+    y, i, h = s.x[0], s.x[1], 1.0 / WITHIN
+    limited = lambda e, i: w.ca.fmin(w.ca.fmax(proportional * e + i, p[3]), p[4])
+    for _ in range(WITHIN):
+        middle, then = y + 0.5 * h * pace * (limited(x - y, i) - y), i + 0.5 * h * integral * (x - y)
+        y, i = y + h * pace * (limited(x - middle, then) - middle), i + h * integral * (x - middle)
+    s.after = w.ca.vertcat(y, i)
+    return y
+
+
+def _steered(which: int) -> Callable[[Wiring, Any, Array], Any]:
+    def steered(w: Wiring, x: Any, p: Array) -> Any:
+        pace, proportional, integral, up, down, lag, behind = (max(abs(float(v)), 1e-9) for v in p)
+        start = w.value(x)
+        state = w.state([0.0, 0.0, 0.0, 0.0, start] if which == COURSE else [start] * 5)
+        h, fmin, fmax = 1.0 / WITHIN, w.ca.fmin, w.ca.fmax
+        y, z, i, s, at = (state.x[j] for j in range(5))
+        stays, still = np.exp(-h / behind), np.exp(-h * pace)
+        for _ in range(WITHIN):
+            e = x - y
+            middle = e - 0.5 * h * pace * (z - y)
+            if which == COURSE:
+                gap = integral * (x - at - 0.5 * h * y) + proportional * (middle - x) - s
+            else:
+                gap = proportional * middle + i + 0.5 * h * integral * e - s
+            rate, size = w.ca.if_else(gap > 0.0, up, down), w.ca.fabs(gap)
+            full = fmin(fmax(size / rate - lag, 0.0), h)
+            left = (size - rate * full) * w.ca.exp(-(h - full) / lag)
+            then = w.ca.if_else(gap > 0.0, s + size - left, s - size + left)
+            drive, z = z, 0.5 * (s + then) + (z - 0.5 * (s + then)) * stays
+            drive = 0.5 * (drive + z)
+            at = at + 0.5 * h * y
+            y, s, i = drive + (y - drive) * still, then, i + h * integral * middle
+            at = at + 0.5 * h * y
+        state.after = w.ca.vertcat(y, z, i, s, at)
+        return (y, s, at)[which]
+
+    return steered
+
+
+def _switched(w: Wiring, x: Any, p: Array) -> Any:
+    rate, push, share, (low, high) = abs(float(p[0])), float(p[1]), float(p[2]), sorted(map(float, p[3:]))
+    level = w.value(x)
+    first = level > high
+    s = w.state([(level + push) / (1.0 - share) if first and share < 1.0 else level, float(first)])
+    y, on, passive, active = s.x[0], s.x[1], np.exp(-rate / WITHIN), np.exp(-rate * (1.0 - share) / WITHIN)
+    for _ in range(WITHIN):
+        rest = (x + push) / (1.0 - share) if share != 1.0 else y
+        y = w.ca.if_else(on > 0.5, rest + (y - rest) * active, x + (y - x) * passive)
+        on = w.ca.logic_or(y > high, w.ca.logic_and(on > 0.5, y >= low))
+    s.after = w.ca.vertcat(y, on)
+    return y
+
+
+def _geared(torque: bool, seen: int) -> Callable[[Wiring, Any, Array], Any]:
+    def geared(w: Wiring, x: Any, p: Array) -> Any:
+        p, ca = of_drive(p, torque), w.ca
+        (free, touching), (push, twisted) = geared_matrices(p, torque)
+        s, half, h = w.state(geared_at_rest(p, w.value(x), torque)), float(p[6]), 1.0 / WITHIN
+        after, clip = s.x, lambda v: ca.fmin(ca.fmax(v, 0.0), 1.0)
+
+        def beyond(at: Any, move: Any) -> Any:
+            share = lambda left: clip(left / ca.if_else(move == 0.0, 1.0, move))
+            moved = ca.if_else(move > 0.0, share(at + move - half), share(half - at))
+            return ca.if_else(move == 0.0, ca.if_else(at > half, 1.0, 0.0), moved)
+
+        for _ in range(WITHIN):
+            twist, turn = after[0] - after[2], h * (after[1] - after[3])
+            above, below = beyond(twist, turn), beyond(-twist, -turn)
+            loose = ca.mtimes(free, after) + push[:, 0] * x
+            held = ca.mtimes(touching, after) + twisted[:, 0] * x
+            after = loose + (above + below) * (held - loose) + (above - below) * half * twisted[:, 1]
+        s.after = after
+        return after[seen]
+
+    return geared
+
+
+LOOPED: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
+    "rate_limit": _servo(1), "rate_limit_sampled": _servo(0), "rate_limit_servo": _servo(1), "wind_up": _wound_up, "relay_feedback": _switched,
+    "rate_in_loop": _steered(0), "rate_of_loop": _steered(1), "rate_in_course": _steered(COURSE),
+    **{e.key: _geared(*how) for e, how in GEARED.items()},
+}  # fmt: skip
