@@ -15,8 +15,10 @@ Array = NDArray[Any]
 OWN, DAMPED, REACTIONS = (0.8, 1.5), (0.5, 1.0), (0.1, 0.4)
 """Of the linear model's slowest pole, how fast a servo is taken to be; its damping ratio; the load's share of its inertia."""
 STIFF, CONTACTS, LOSSES, PLAYS = (1.5, 4.0), (0.3, 1.2), (0.1, 0.6), (0.05, 0.2)
-"""The gear's natural frequency and the load's friction, of the servo's pace; damping in contact, of that frequency; half the play, of the
+"""The gear's natural frequency and the load's friction, of the drive's pace; damping in contact, of that frequency; half the play, of the
 standard deviation of what drives it."""
+TWISTING = (0.15, 0.4)
+"""Natural frequencies of a gear behind a torque, radians per sample: slower ones are poles of their own, quicker ones are stiff."""
 LEAST = 1e-6
 """Of a parameter's size, below which it is none: a gear without stiffness moves nothing."""
 
@@ -51,24 +53,19 @@ def _servos(slowest: float, u: Array) -> Iterator[list[float]]:
 
 
 def _motors(slowest: float, u: Array) -> Iterator[list[float]]:
-    """Drives that slow down by themselves with the linear model's slowest pole, whose gear is twisted by what they turn in its time."""
-    for reaction, stiff, contact, loss, play in product(REACTIONS, STIFF, CONTACTS, LOSSES, PLAYS):
-        w = stiff * max(slowest, 0.1)
-        yield [slowest, reaction, w, contact * w, loss * slowest, play * float(np.std(u)) / w]
+    """Drives that slow down by themselves with the linear model's slowest pole, whose play is turned through in a gear's time."""
+    for ratio, w, contact, loss, play in product(REACTIONS, TWISTING, CONTACTS, LOSSES, PLAYS):
+        yield [slowest, ratio, w, contact * w, loss * slowest, play * float(np.std(u)) / w]
 
 
-SERVO = {"own": "1/sample"}
+SERVO = {"servo_frequency": "rad/sample"}
 GEAR = {
-    "damping": "1/sample",
-    "reaction": "1",
-    "stiffness": "1/sample",
-    "contact": "1/sample",
-    "friction": "1/sample",
-}
+    "drive_damping": "1/sample", "inertia_ratio": "1", "gear_frequency": "rad/sample", "gear_damping": "1/sample", "load_friction": "1/sample",
+}  # fmt: skip
 
 
 def _geared(key: str, sentence: str, torque: bool, seen: int) -> Effect:
-    parameters = ({} if torque else SERVO) | GEAR | {"play": "u sample" if torque else "u"}
+    parameters = ({} if torque else SERVO) | GEAR | {"half_play": "u sample" if torque else "u"}
     effect = Effect(
         key=key, cause="backlash", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=50, apply=_runs(torque, seen), sentence=sentence,
         parameters=parameters,
@@ -81,13 +78,9 @@ def _geared(key: str, sentence: str, torque: bool, seen: int) -> Effect:
     return effect
 
 
+WORDS = "{} moves a load through an elastic gear with play, and feels it; {} is seen"
 GEARED: dict[Effect, tuple[bool, int]] = {
-    _geared(
-        key,
-        f"{drive} moves a load through an elastic gear with play, and feels it; {what} is seen",
-        torque,
-        seen,
-    ): (torque, seen)
+    _geared(key, WORDS.format(drive, what), torque, seen): (torque, seen)
     for key, drive, what, torque, seen in (
         ("geared_servo", "a servo", "the load", False, 2),
         ("geared_load", "a torque", "the load's speed", True, 3),
