@@ -6,6 +6,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from tests.estimators.diagnosis.case_classes import CLASSES, LOOKALIKES
+from tests.estimators.diagnosis.case_drives import driveline, engine, joint, transmitter
 from tests.estimators.diagnosis.case_parts import FINE, lag, linear, read, sensor, swing
 
 __all__ = ["ALL_CLASSES", "ALL_LOOKALIKES"]
@@ -48,33 +49,6 @@ def steered_ship(u, a):
                 s + h * (np.clip(move, -0.03, 0.03) if a else move),
             )
     return out
-
-
-def _through_a_gear(u, a, seen):
-    """A drive that moves a load through an elastic gear with play: a servo where its position is seen (2), else by its torque."""
-    x, out, h, servo = np.array([0.0, 0.0, 0.0, 0.0]), np.zeros(len(u)), 1.0 / FINE, seen == 2
-    for k, value in enumerate(u):
-        out[k] = x[seen]
-        for _ in range(FINE):
-            twist = x[0] - x[2]
-            past = twist - np.clip(twist, -0.35 * a, 0.35 * a)
-            torque = 0.25 * past + (0.2 * (x[1] - x[3]) if past else 0.0)
-            pull = 0.06 * (value - x[0]) - 0.35 * x[1] if servo else 0.05 * value - 0.05 * x[1]
-            speeds = x[[1, 3]] + h * np.array([pull - 0.4 * torque, torque - 0.05 * x[3]])
-            x = np.array([x[0] + h * speeds[0], speeds[0], x[2] + h * speeds[1], speeds[1]])
-    return out
-
-
-def joint(u, a):
-    return _through_a_gear(u, a, 2)
-
-
-def driveline(u, a):
-    return _through_a_gear(u, a, 3)
-
-
-def engine(u, a):
-    return _through_a_gear(u, a, 1)
 
 
 def compressed(u, a):
@@ -362,12 +336,13 @@ ALL_CLASSES = CLASSES | {
     "input_scanned": (scanned, 2, {}), "input_staged": (staged, 2, {}), "output_ranges": (ranged, 2, {}), "output_dead_band": (archived, 2, {}),
     "acts_since": (opened, 1, {"mean": 2.0, "inputs": 2}), "damping_settles": (leaking, 2, {}), "multiplexed of lags": (polled, 2, {}),
     "rate_in_course": (steered_ship, 3, {"hold": 40, "size": 0.5}), "automatic_gain": (compressed, 2, {}), "output_gain_periodic": (beating, 2, {}),
-    "geared_servo": (joint, 4, {"hold": 15}), "geared_load": (driveline, 3, {"hold": 15}), "geared_motor": (engine, 3, {"hold": 15}),
+    "sensor_rate": (transmitter, 3, {}), "geared_servo": (joint, 4, {"hold": 15}), "geared_load": (driveline, 3, {"hold": 15}), "geared_motor": (engine, 3, {"hold": 15}),
     "recycle": (recycled, 2, {}), "waveform": (on_a_timer, 2, {}), "stiction_sliding": (slid, 2, {"hold": 2}),
 }  # fmt: skip
 
 ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     # effect, a record that looks like it and is not
+    ("sensor_rate", "rate_in_loop"), ("sensor_rate", "rate_limit_servo"), ("rate_limit_servo", "sensor_rate"), ("sensor_rate", "sensor_paced"), ("rise_and_fall", "sensor_rate"),
     ("geared_servo", "clearance"), ("geared_servo", "stiction"), ("geared_servo", "rate_in_loop"), ("geared_load", "geared_motor"), ("geared_motor", "geared_load"),
     ("clearance_sprung", "geared_servo"), ("rate_in_loop", "geared_load"), ("geared_load", "stiction"),
     ("stiction", "stiction_sliding"), ("stiction_sliding", "plays"), ("clearance", "stiction_sliding"),

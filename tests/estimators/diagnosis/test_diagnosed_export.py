@@ -46,6 +46,7 @@ NAMED = {
     "loop of limited speed": ("tf", [("rate_in_loop", [0.1, 3.0, 0.3, 0.2, 0.3, 0.7, 1.2])], {"rest": False}),
     "its actuator": ("tf", [("rate_of_loop", [0.1, 3.0, 0.3, 0.2, 0.3, 0.7, 0.0])], {"rest": False}),
     "a course": ("tf", [("rate_in_course", [0.1, 3.0, 0.3, 0.02, 0.03, 0.7, 1.2])], {"rest": False}),
+    "slow reading": ("tf", [("sensor_rate", [0.1, 0.15, 0.7])], {"rest": False}),
     "a joint": ("tf", [("geared_servo", [0.25, 0.35, 0.4, 0.5, 0.2, 0.05, 0.35])], {"rest": False}),
     "a driveline": ("tf", [("geared_load", [0.05, 0.4, 0.5, 0.2, 0.05, 0.35])], {"rest": False}),
     "its motor": ("tf", [("geared_motor", [0.05, 0.4, 0.5, 0.2, 0.05, 0.35])], {"rest": False}),

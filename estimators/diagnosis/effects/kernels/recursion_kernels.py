@@ -294,6 +294,28 @@ def rate_limited(signal, rate, start):  # pragma: no cover - compiled
 
 
 @compiled
+def trailed(signal, up, down, lag):  # pragma: no cover - compiled
+    """Readings of a sensor that nears its signal with a lag, but no faster than one rate up and another down per sample.
+
+    It starts on the signal, which moves evenly from sample to sample: `WITHIN` steps in each, with that of its middle.
+    """
+    out = np.empty_like(signal)
+    v = signal[0]
+    h = 1.0 / WITHIN
+    near = np.exp(-h / lag)
+    for k in range(signal.shape[0]):
+        before = signal[max(k - 1, 0)]
+        for i in range(WITHIN):
+            gap = before + (i + 0.5) * h * (signal[k] - before) - v
+            rate = up if gap > 0.0 else down
+            full = min(max(abs(gap) / rate - lag, 0.0), h)
+            left = (abs(gap) - rate * full) * (near if full == 0.0 else np.exp((full - h) / lag))
+            v += gap - left if gap > 0.0 else gap + left
+        out[k] = v
+    return out
+
+
+@compiled
 def hinges(x, c):  # pragma: no cover - compiled
     """x + sum c[2i] max(x - c[2i + 1], 0): a broken line of slope 1 at the far left."""
     out = np.empty_like(x)

@@ -1,4 +1,4 @@
-"""Hidden loops between the input and the linear part, as parts of a step."""
+"""Loops and limited rates, as parts of a step."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from estimators.diagnosis.effects.kernels.loop_kernels import COURSE, geared_at_rest, geared_matrices
 from estimators.diagnosis.effects.kernels.recursion_kernels import WITHIN
 from estimators.diagnosis.effects.loops.geared import GEARED, of_drive
+from estimators.diagnosis.effects.sensing.rates import limits
 from estimators.diagnosis.effects.symbols import terms
 from estimators.diagnosis.effects.symbols.wiring import Wiring
 
@@ -82,6 +83,19 @@ def _switched(w: Wiring, x: Any, p: Array) -> Any:
     return y
 
 
+def _trailed(w: Wiring, x: Any, p: Array) -> Any:
+    up, down, lag = limits(p)
+    s, h, ca = w.state([w.value(x)] * 2), 1.0 / WITHIN, w.ca
+    v, before = s.x[0], s.x[1]
+    for i in range(WITHIN):
+        gap = before + (i + 0.5) * h * (x - before) - v
+        size, rate = ca.fabs(gap), ca.if_else(gap > 0.0, up, down)
+        full = ca.fmin(ca.fmax(size / rate - lag, 0.0), h)
+        v = v + ca.sign(gap) * (size - (size - rate * full) * ca.exp((full - h) / lag))
+    s.after = ca.vertcat(v, x)
+    return v
+
+
 def _geared(torque: bool, seen: int) -> Callable[[Wiring, Any, Array], Any]:
     def geared(w: Wiring, x: Any, p: Array) -> Any:
         p, ca = of_drive(p, torque), w.ca
@@ -109,5 +123,5 @@ def _geared(torque: bool, seen: int) -> Callable[[Wiring, Any, Array], Any]:
 LOOPED: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
     "rate_limit": _servo(1), "rate_limit_sampled": _servo(0), "rate_limit_servo": _servo(1), "wind_up": _wound_up, "relay_feedback": _switched,
     "rate_in_loop": _steered(0), "rate_of_loop": _steered(1), "rate_in_course": _steered(COURSE),
-    **{e.key: _geared(*how) for e, how in GEARED.items()},
+    "sensor_rate": _trailed, **{e.key: _geared(*how) for e, how in GEARED.items()},
 }  # fmt: skip

@@ -1,0 +1,47 @@
+"""Rigs with a gear that has play, and a transmitter that follows at limited rates: simulated as in `case_classes`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tests.estimators.diagnosis.case_parts import FINE, linear
+
+__all__ = ["driveline", "engine", "joint", "transmitter"]
+
+
+def _through_a_gear(u, a, seen):
+    """A drive that moves a load through an elastic gear with play: a servo where its position is seen (2), else by its torque."""
+    x, out, h, servo = np.array([0.0, 0.0, 0.0, 0.0]), np.zeros(len(u)), 1.0 / FINE, seen == 2
+    for k, value in enumerate(u):
+        out[k] = x[seen]
+        for _ in range(FINE):
+            twist = x[0] - x[2]
+            past = twist - np.clip(twist, -0.35 * a, 0.35 * a)
+            torque = 0.25 * past + (0.2 * (x[1] - x[3]) if past else 0.0)
+            pull = 0.06 * (value - x[0]) - 0.35 * x[1] if servo else 0.05 * value - 0.05 * x[1]
+            speeds = x[[1, 3]] + h * np.array([pull - 0.4 * torque, torque - 0.05 * x[3]])
+            x = np.array([x[0] + h * speeds[0], speeds[0], x[2] + h * speeds[1], speeds[1]])
+    return out
+
+
+def joint(u, a):
+    return _through_a_gear(u, a, 2)
+
+
+def driveline(u, a):
+    return _through_a_gear(u, a, 3)
+
+
+def engine(u, a):
+    return _through_a_gear(u, a, 1)
+
+
+def transmitter(u, a):
+    """A transmitter whose reading moves at no more than one rate up and another down."""
+    x, v, out = linear(u), 0.0, np.zeros(len(u))
+    for k in range(1, len(u)):
+        for i in range(FINE):
+            move = (x[k - 1] + (i + 0.5) / FINE * (x[k] - x[k - 1]) - v) / 1.5
+            v += (np.clip(move, -0.12, 0.08) if a else move) / FINE
+        out[k] = v
+    return out
