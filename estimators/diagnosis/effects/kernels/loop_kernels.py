@@ -1,6 +1,6 @@
 """Compiled loops of which only the set point and what they drive are seen: an actuator of limited stroke or speed, a relay.
 
-CasADi defines the same steps in `symbols.parts`; a test holds the two to 1e-9.
+CasADi defines the same steps in `symbols.loops`; a test holds the two to 1e-9.
 """
 
 import numpy as np
