@@ -49,7 +49,7 @@ PLAIN = {
 ORDINAL = {1: "st", 2: "nd", 3: "rd"}
 """Endings of the first ordinals; more than twenty parameters of a kind there are not."""
 TIME = {
-    "sample": 1, "1/sample": -1, "u/sample": -1, "rad/sample": -1, "rad/sample^2": -2, "u sample": 1, "1/(u sample)": -1,
+    "sample": 1, "1/sample": -1, "u/sample": -1, "y/sample": -1, "rad/sample": -1, "rad/sample^2": -2, "u sample": 1, "1/(u sample)": -1,
     "u/(u/sample)^2": 2, "u/sample^2": -2, "sample/u^2": 1, "sample/record": 1,
 }  # fmt: skip
 """Power of the sampling time by which a number in this unit is brought to seconds."""
