@@ -264,19 +264,17 @@ def _outcome(
         gain = paired_gain(y, other.chosen.unused, ladder.chosen.unused, ladder.counted, setting.policy)
         if not gain.meets(setting.policy.unchecked) and not terms.confirmed(counted):
             steps, ladder = without, other
-    above = share if ladder.chosen.kind is Kind.LINEAR else left
-    rest = None
-    if terms.found.sought and above.explainable:  # else unused blocks have said that nothing of it lasts
-        rest = _remainder_step(records, i, base, ladder, above, setting)
-    if rest is not None and not bench.echoes(rest.unused[0]):
-        ladder = climb(y, [*steps, rest], counted, setting.policy, least=least)
 
-    def alone(bare: Ladder) -> Step | None:
-        step = _remainder_step(records, i, base, bare, share, setting)
+    def remainder(below: Ladder, above: Share) -> Step | None:
+        step = _remainder_step(records, i, base, below, above, setting)
         return None if step is None or bench.echoes(step.unused[0]) else step
 
+    above = share if ladder.chosen.kind is Kind.LINEAR else left
+    sought = terms.found.sought and above.explainable  # else unused blocks have said that nothing of it lasts
+    if sought and (rest := remainder(ladder, above)) is not None:
+        ladder = climb(y, [*steps, rest], counted, setting.policy, least=least)
     most = share.predicted[1] if share.explainable else 0.0
-    ladder = over_linear(ladder, most, alone, y, setting.policy)
+    ladder = over_linear(ladder, most, lambda linear: remainder(linear, share), y, setting.policy)
     # What the answer explains was no noise that an input answers.
     errors = [r.y[:, i] - ladder.chosen.simulate(r, base.blocks.window) for r in records]
     echo = bench.inverse and has_feedback(records, errors, counted)

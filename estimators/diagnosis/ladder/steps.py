@@ -285,8 +285,12 @@ def climb(
         elif ranked[i].kind is Kind.DISCOVERED and ranked[answer].nature == Nature.TIME:
             back = paired_gain(measured, ranked[i].unused, ranked[answer].unused, counted, policy)
             answer = answer if back.meets(policy.claimed) else i
-    rungs = tuple(Rung(s, e, together([e], [errors[answer]])) for s, e in zip(ranked, errors, strict=True))
-    return Ladder(rungs, answer, counted, exact)
+    return Ladder(_rungs(ranked, errors, answer), answer, counted, exact)
+
+
+def _rungs(steps: Sequence[Step], errors: Sequence[Array], answer: int) -> tuple[Rung, ...]:
+    """The steps with their errors, each figure beside that of the answer."""
+    return tuple(Rung(s, e, together([e], [errors[answer]])) for s, e in zip(steps, errors, strict=True))
 
 
 ROUNDING = 1e-13
@@ -305,16 +309,14 @@ def over_linear(
     does more, and else stands by for an answer that a record turns out not to determine."""
     if ladder.exact or not most > ladder.explained:
         return ladder
-    linear = next(k for k, r in enumerate(ladder.rungs) if r.step is ladder.linear)
-    if (step := make(replace(ladder, answer=linear))) is None:
+    if (step := make(replace(ladder, answer=0))) is None:
         return ladder
     gain = paired_gain(measured, ladder.chosen.unused, step.unused, ladder.counted, policy)
     more = gain.meets((policy.searched[0], policy.lasting))
-    errors = unused_errors(measured, step, ladder.counted)
-    against = errors if more else ladder.rungs[ladder.answer].errors
-    rungs = [replace(r, figure=together([r.errors], [against])) for r in ladder.rungs]
-    rungs.append(Rung(step, errors, together([errors], [against])))
-    return replace(ladder, rungs=tuple(rungs), answer=len(rungs) - 1 if more else ladder.answer)
+    answer = len(ladder.rungs) if more else ladder.answer
+    errors = [*(r.errors for r in ladder.rungs), unused_errors(measured, step, ladder.counted)]
+    rungs = _rungs([*(r.step for r in ladder.rungs), step], errors, answer)
+    return replace(ladder, rungs=rungs, answer=answer)
 
 
 def is_sane(run: Array, linear: Array, y: Array, policy: Policy) -> bool:

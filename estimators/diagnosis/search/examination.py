@@ -98,6 +98,7 @@ right one has not been missed where all were fitted."""
 PAID, LEAST_FITTED = 2000, 4
 """Samples of a record from which on fewer effects are fitted, so that the work does not grow with it, and the fewest: the
 scores of a long record are sharp."""
+ALIKE = 0.1  # share of the wild samples that may have changed for what was found without them to be fitted again only
 EXACT = 1e-6  # of the step between levels: what a model hits so nearly was not rounded to them, its inputs have few values
 PHYSICAL = 4
 """Poles from which on a linear model is no plant that effects could sit in, but an approximation of one."""
@@ -227,10 +228,6 @@ def _lengthened(record: Record, i: int, short: Examined, setting: Setting) -> Ex
     return Examined(channel, found, short.signatures, naive)
 
 
-ALIKE = 0.1
-"""Share of the wild samples that may have changed for what was found without them to be fitted again, not looked for anew."""
-
-
 def _examined(record: Record, i: int, setting: Setting, known: Known) -> Examined:
     n, missing = len(record), ~np.isfinite(record.y[:, i])
     y = gapless(record.y)[:, i]
@@ -268,14 +265,15 @@ def _examined(record: Record, i: int, setting: Setting, known: Known) -> Examine
         wild[:] = False
     if wild.any():  # what stands out from the best single effect too
         found = attribute(channel.without(wild), s, menu, alpha=setting.alpha, most=1)
-        residual, first_wild = y - simulate(found.final.structure, found.final.p, channel.u, clock), wild
+        first_wild, residual = wild, y - simulate(found.final.structure, found.final.p, channel.u, clock)
         wild = _enough(
             wild_samples(residual, keep) & wild_samples(innovations(residual, found.final.noise), keep), n
         )
         if not wild.any() and not len(found.final.noise):
             found = _refitted(channel.without(wild), found)
         else:
-            singles = [c.fit for c in found.claims if np.sum(wild != first_wild) <= ALIKE * first_wild.sum()]
+            alike = np.sum(wild != first_wild) <= ALIKE * first_wild.sum()
+            singles = [c.fit for c in found.claims] if alike else ()
             found = attribute(channel.without(wild), s, menu, alpha=setting.alpha, singles=singles)
     else:
         found = attribute(channel, s, menu, alpha=setting.alpha, base=None if channel.step else first)

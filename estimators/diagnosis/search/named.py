@@ -85,7 +85,8 @@ class Bench:
     def counted(self) -> NDArray[np.bool_]:
         """(N,) samples that count: measured, after a block's window, neither held nor wild."""
         use = self.base.blocks.counting([self.train])[0][:, self.output].copy()
-        use[: len(self.kept)] &= self.kept[: len(use)]
+        kept = self.kept
+        use[: len(kept)] &= kept[: len(use)]
         return use
 
     def stands(self, n: Named) -> bool:

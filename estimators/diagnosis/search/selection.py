@@ -187,9 +187,8 @@ def attribute(
         coloured = min((coloured, again), key=lambda f: f.criterion)
     white = _white(base)
     position = len(s.parts)
-    again = (fit(channel, f.structure, f.p, f.scales, iterations=FEW) for f in singles)
-    fits = list(again if singles else augmented(channel, white, menu, iterations=FEW, top=menu.top))
-    fits = _finished(channel, fits)
+    fits = [fit(channel, f.structure, f.p, f.scales, iterations=FEW) for f in singles]
+    fits = _finished(channel, fits or list(augmented(channel, white, menu, iterations=FEW, top=menu.top)))
     simulated = _explained(white, fits, position) if s.base else {}
     alternatives = _alternatives(fits, position) if s.base else ()
     fits = _settled(channel, fits, 6)

@@ -6,7 +6,7 @@ CasADi defines the same steps in `symbols.loops`; a test holds the two to 1e-9.
 import numpy as np
 
 from estimators.diagnosis.effects.kernels.plant_kernels import held_response
-from estimators.diagnosis.effects.kernels.recursion_kernels import WITHIN, compiled, written
+from estimators.diagnosis.effects.kernels.recursion_kernels import WITHIN, compiled, left_over, written
 
 COURSE = 2
 """Which of what a steered loop moves is seen: its plant, its actuator, or the plant's integral, which is what it steers then."""
@@ -62,13 +62,7 @@ def steered_loop(signal, p, start, which):  # pragma: no cover - compiled
                 gap = integral * (signal[k] - at - 0.5 * h * x) + proportional * (middle - signal[k]) - s
             else:
                 gap = proportional * middle + i + 0.5 * h * integral * e - s
-            rate = p[3] if gap > 0.0 else p[4]
-            full = min(max(abs(gap) / rate - lag, 0.0), h)
-            left = abs(gap) - rate * full
-            if full == 0.0:
-                left *= near
-            elif full < h:
-                left *= np.exp(-(h - full) / lag)
+            left = left_over(abs(gap), p[3] if gap > 0.0 else p[4], lag, h, near)
             move = abs(gap) - left
             then = s + (move if gap > 0.0 else -move)
             drive = z

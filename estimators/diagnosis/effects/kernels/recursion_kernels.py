@@ -294,6 +294,16 @@ def rate_limited(signal, rate, start):  # pragma: no cover - compiled
 
 
 @compiled
+def left_over(gap, rate, lag, h, near):  # pragma: no cover - compiled
+    """What is left of a gap after a step h of a lag that closes it no faster than a rate; `near` of it where no part of the step is."""
+    full = min(max(gap / rate - lag, 0.0), h)
+    left = gap - rate * full
+    if full == 0.0:
+        return left * near
+    return left * np.exp((full - h) / lag) if full < h else left
+
+
+@compiled
 def trailed(signal, up, down, lag):  # pragma: no cover - compiled
     """Readings of a sensor that nears its signal with a lag, but no faster than one rate up and another down per sample.
 
@@ -307,9 +317,7 @@ def trailed(signal, up, down, lag):  # pragma: no cover - compiled
         before = signal[max(k - 1, 0)]
         for i in range(WITHIN):
             gap = before + (i + 0.5) * h * (signal[k] - before) - v
-            rate = up if gap > 0.0 else down
-            full = min(max(abs(gap) / rate - lag, 0.0), h)
-            left = (abs(gap) - rate * full) * (near if full == 0.0 else np.exp((full - h) / lag))
+            left = left_over(abs(gap), up if gap > 0.0 else down, lag, h, near)
             v += gap - left if gap > 0.0 else gap + left
         out[k] = v
     return out

@@ -12,7 +12,7 @@ from estimators.diagnosis.effects.input import kept
 from estimators.diagnosis.effects.loops.limited import NEAR, shaped
 
 Array = NDArray[Any]
-OWN, DAMPED, REACTIONS = (0.8, 1.5), (0.5, 1.0), (0.1, 0.4)
+OWN, DAMPED, RATIOS = (0.8, 1.5), (0.5, 1.0), (0.1, 0.4)
 """Of the linear model's slowest pole, how fast a servo is taken to be; its damping ratio; the load's share of its inertia."""
 STIFF, CONTACTS, LOSSES, PLAYS = (1.5, 4.0), (0.3, 1.2), (0.1, 0.6), (0.05, 0.2)
 """The gear's natural frequency and the load's friction, of the drive's pace; damping in contact, of that frequency; half the play, of the
@@ -39,7 +39,7 @@ def _runs(torque: bool, seen: int) -> Any:
 
 
 def _servos(slowest: float, u: Array) -> Iterator[list[float]]:
-    for own, damped, *rest in product(OWN, DAMPED, REACTIONS, STIFF, CONTACTS, LOSSES, PLAYS):
+    for own, damped, *rest in product(OWN, DAMPED, RATIOS, STIFF, CONTACTS, LOSSES, PLAYS):
         w, (reaction, stiff, contact, loss, play) = own * slowest, rest
         yield [
             w,
@@ -54,7 +54,7 @@ def _servos(slowest: float, u: Array) -> Iterator[list[float]]:
 
 def _motors(slowest: float, u: Array) -> Iterator[list[float]]:
     """Drives that slow down by themselves with the linear model's slowest pole, whose play is turned through in a gear's time."""
-    for ratio, w, contact, loss, play in product(REACTIONS, TWISTING, CONTACTS, LOSSES, PLAYS):
+    for ratio, w, contact, loss, play in product(RATIOS, TWISTING, CONTACTS, LOSSES, PLAYS):
         yield [slowest, ratio, w, contact * w, loss * slowest, play * float(np.std(u)) / w]
 
 

@@ -186,7 +186,7 @@ def shaped(
         for f in ended(channel, bare, part, starts, steps(slowest, float(np.std(u)))):
             if firm(base, float(np.sum(f.residual**2))):
                 yield f
-                yield from _behind(channel, f) if moves is MOVES and near > 1.0 and len(f.noise) else ()
+                yield from _behind(channel, f) if "behind" in part.effect.parameters and len(f.noise) else ()
 
     return search
 

@@ -1,7 +1,6 @@
 """A sensor that moves its reading no faster than one rate up and another down."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -9,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
-from estimators.diagnosis.effects.profiled import BEGUN, ended, firm, of_order, profile
-from estimators.diagnosis.effects.sensing.sensors import settled
+from estimators.diagnosis.effects.profiled import BEGUN, ended, firm, profile
+from estimators.diagnosis.effects.sensing.sensors import before_sensor, settled
 
 Array = NDArray[Any]
 STEEP, RATES, SIDES, LAGS = 0.98, (0.3, 0.5, 0.75), (0.7, 1.0, 1.4), (0.3, 1.0, 3.0)
@@ -34,7 +33,6 @@ def _trailing(x: Array, p: Array, clock: Clock) -> Array:
 
 def _limited(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     """With all of the linear model's poles before the sensor, and with one less: it was one of them."""
-    from estimators.diagnosis.model.linear import fit_linear, plant_scales
     from estimators.diagnosis.model.structure import Part
 
     s = base.structure
@@ -43,13 +41,11 @@ def _limited(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     steep = float(np.quantile(np.abs(np.diff(channel.y - base.residual)), STEEP)) + 1e-300
     shapes = [[f * steep, f * side * steep, lag] for f, side, lag in product(RATES, SIDES, LAGS)]
     part, found = Part(TRAILING, s.inputs[0]), []
-    for order, delay in product(sorted({s.order, max(s.order - 1, 1)}), sorted({0, s.delay})):
-        few, p, scales = of_order(base, order, min(s.taps, order))
-        few = replace(few, delay=delay)  # a limit makes its signal look late
-        if (order, delay) != (s.order, s.delay):
-            p[: few.plant_size] = fit_linear(channel, few, rough=True).p[: few.plant_size]
-            scales[: few.plant_size] = plant_scales(few, p)
-        bare = replace(base, structure=few, p=p, scales=scales)
+    for order, delay in product(
+        sorted({s.order, max(s.order - 1, 1)}), sorted({0, s.delay})
+    ):  # a limit makes its signal look late
+        same = (order, delay) == (s.order, s.delay)
+        bare = base if same else before_sensor(channel, base, order, delay)
         starts = [q for _, q in profile(channel, bare, part, shapes)[:BEGUN]]
         found += list(ended(channel, bare, part, starts, [steep, steep, 1.0]))
     yield from (f for f in found if firm(base, float(np.sum(f.residual**2))))

@@ -109,10 +109,19 @@ def _closer(channel: Any, best: list[float]) -> list[list[float]]:
     return [[best[0] * f, best[1] + d, best[2]] for f in factors for d in (-more, 0.0, more)]
 
 
-def _sensed(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """With all of the linear model's poles before the sensor, and with one less: it was one of them."""
+def before_sensor(channel: Any, base: Any, order: int, delay: int) -> Any:
+    """The linear model with another number of poles or delay, roughly fitted: the sensor stands for the others."""
     from estimators.diagnosis.model.linear import fit_linear, plant_scales
 
+    few, p, scales = of_order(base, order, min(base.structure.taps, order))
+    few = replace(few, delay=delay)
+    p[: few.plant_size] = fit_linear(channel, few, rough=True).p[: few.plant_size]
+    scales[: few.plant_size] = plant_scales(few, p)
+    return replace(base, structure=few, p=p, scales=scales)
+
+
+def _sensed(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """With all of the linear model's poles before the sensor, and with one less: it was one of them."""
     search = mended(
         lambda: PACED, _paces, _closer, lambda c: [0.2, 1.0 / float(np.std(c.y)), 0.0], _unpaced, fitted=True
     )
@@ -121,10 +130,7 @@ def _sensed(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         return
     yield from search(channel, base, others)
     if s.order > 1:
-        few, p, scales = of_order(base, s.order - 1, min(s.taps, s.order - 1))
-        p[: few.plant_size] = fit_linear(channel, few, rough=True).p[: few.plant_size]
-        scales[: few.plant_size] = plant_scales(few, p)
-        yield from search(channel, replace(base, structure=few, p=p, scales=scales), others)
+        yield from search(channel, before_sensor(channel, base, s.order - 1, s.delay), others)
 
 
 PACED = Effect(

@@ -39,12 +39,20 @@ def _wound_up(w: Wiring, x: Any, p: Array) -> Any:
     return y
 
 
+def _closed(ca: Any, gap: Any, limits: tuple[float, float, float]) -> Any:
+    """What a lag closes of a gap in one of `WITHIN` steps, no faster than its rates up and down."""
+    (up, down, lag), h, size = limits, 1.0 / WITHIN, ca.fabs(gap)
+    rate = ca.if_else(gap > 0.0, up, down)
+    full = ca.fmin(ca.fmax(size / rate - lag, 0.0), h)
+    return ca.sign(gap) * (size - (size - rate * full) * ca.exp((full - h) / lag))
+
+
 def _steered(which: int) -> Callable[[Wiring, Any, Array], Any]:
     def steered(w: Wiring, x: Any, p: Array) -> Any:
         pace, proportional, integral, up, down, lag, behind = (max(abs(float(v)), 1e-9) for v in p)
         start = w.value(x)
         state = w.state([0.0, 0.0, 0.0, 0.0, start] if which == COURSE else [start] * 5)
-        h, fmin, fmax = 1.0 / WITHIN, w.ca.fmin, w.ca.fmax
+        h = 1.0 / WITHIN
         y, z, i, s, at = (state.x[j] for j in range(5))
         stays, still = np.exp(-h / behind), np.exp(-h * pace)
         for _ in range(WITHIN):
@@ -54,10 +62,7 @@ def _steered(which: int) -> Callable[[Wiring, Any, Array], Any]:
                 gap = integral * (x - at - 0.5 * h * y) + proportional * (middle - x) - s
             else:
                 gap = proportional * middle + i + 0.5 * h * integral * e - s
-            rate, size = w.ca.if_else(gap > 0.0, up, down), w.ca.fabs(gap)
-            full = fmin(fmax(size / rate - lag, 0.0), h)
-            left = (size - rate * full) * w.ca.exp(-(h - full) / lag)
-            then = w.ca.if_else(gap > 0.0, s + size - left, s - size + left)
+            then = s + _closed(w.ca, gap, (up, down, lag))
             drive, z = z, 0.5 * (s + then) + (z - 0.5 * (s + then)) * stays
             drive = 0.5 * (drive + z)
             at = at + 0.5 * h * y
@@ -84,15 +89,11 @@ def _switched(w: Wiring, x: Any, p: Array) -> Any:
 
 
 def _trailed(w: Wiring, x: Any, p: Array) -> Any:
-    up, down, lag = limits(p)
-    s, h, ca = w.state([w.value(x)] * 2), 1.0 / WITHIN, w.ca
+    s, h = w.state([w.value(x)] * 2), 1.0 / WITHIN
     v, before = s.x[0], s.x[1]
     for i in range(WITHIN):
-        gap = before + (i + 0.5) * h * (x - before) - v
-        size, rate = ca.fabs(gap), ca.if_else(gap > 0.0, up, down)
-        full = ca.fmin(ca.fmax(size / rate - lag, 0.0), h)
-        v = v + ca.sign(gap) * (size - (size - rate * full) * ca.exp((full - h) / lag))
-    s.after = ca.vertcat(v, x)
+        v = v + _closed(w.ca, before + (i + 0.5) * h * (x - before) - v, limits(p))
+    s.after = w.ca.vertcat(v, x)
     return v
 
 
