@@ -32,7 +32,7 @@ def _trailing(x: Array, p: Array, clock: Clock) -> Array:
 
 
 def _limited(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """With all of the linear model's poles before the sensor, and with one less: it was one of them."""
+    """With one pole less before the sensor than the linear model has: it was one of them."""
     from estimators.diagnosis.model.structure import Part
 
     s = base.structure
@@ -41,11 +41,8 @@ def _limited(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     steep = float(np.quantile(np.abs(np.diff(channel.y - base.residual)), STEEP)) + 1e-300
     shapes = [[f * steep, f * side * steep, lag] for f, side, lag in product(RATES, SIDES, LAGS)]
     part, found = Part(TRAILING, s.inputs[0]), []
-    for order, delay in product(
-        sorted({s.order, max(s.order - 1, 1)}), sorted({0, s.delay})
-    ):  # a limit makes its signal look late
-        same = (order, delay) == (s.order, s.delay)
-        bare = base if same else before_sensor(channel, base, order, delay)
+    for delay in sorted({0, s.delay}):  # a limit makes its signal look late
+        bare = before_sensor(channel, base, max(s.order - 1, 1), delay)
         starts = [q for _, q in profile(channel, bare, part, shapes)[:BEGUN]]
         found += list(ended(channel, bare, part, starts, [steep, steep, 1.0]))
     yield from (f for f in found if firm(base, float(np.sum(f.residual**2))))
