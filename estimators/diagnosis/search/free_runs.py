@@ -1,6 +1,7 @@
 """Free runs of a fitted structure: how it starts on a record, and on blocks that its parameters did not see."""
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -12,6 +13,7 @@ from scipy.optimize import minimize_scalar
 from estimators.diagnosis.baseline.blocks import Blocks
 from estimators.diagnosis.baseline.linear_model import FAR, LinearModel, Prior
 from estimators.diagnosis.effects import Clock, Slot
+from estimators.diagnosis.effects.loops import STORES
 from estimators.diagnosis.effects.path import INITIAL, STORE_CURVE
 from estimators.diagnosis.effects.sensing import REPORTED
 from estimators.diagnosis.model.fitting import Channel, Fit, fit, levenberg_marquardt
@@ -40,6 +42,8 @@ STRETCHES = 5
 """Of a fold that is scattered over a record: each a twenty-fifth of it, beyond which a curve of five bends is hardly carried."""
 UNTOLD = 1e-3
 """Of what a record says of a parameter of a change, below which the blocks beside that of the change say nothing: thirty times its error."""
+ASIDE = 1e-3
+"""Of how far a store may go within a window, by which its level is moved for a derivative."""
 STEPS = 6
 """Gauss-Newton steps without a block, from the fit to all blocks: more than the two or three that change anything."""
 
@@ -180,6 +184,8 @@ def _as_told(f: Shaped, u: Array, clock: Clock, y: Array, start: Start) -> Shape
             f = _filled(f, at, u, clock, y, start)
         elif part.effect is REPORTED:
             f = _as_read(f, at, u, clock, y, start)
+        elif part.effect in STORES:
+            f = _as_full(f, at, u, clock, y, start)
     return f
 
 
@@ -200,24 +206,51 @@ def _as_read(f: Shaped, at: int, u: Array, clock: Clock, y: Array, start: Start)
 def _filled(f: Shaped, at: int, u: Array, clock: Clock, y: Array, start: Start) -> Shaped:
     """A model with a store, as full as the window says: as the training record began, unless that is refused there."""
     size, least = f.p[f.structure.slices()[at]][-3:-1]
-    # a state that does not decay in the window is not told from a level of the store
-    poles = np.roots(denominator(f))
-    quick = np.atleast_1d(np.real(np.poly(poles[np.abs(poles) ** len(y) < GONE])))
-
-    def left(model: Shaped) -> float:
-        """Mean square in the window."""
-        error = y - _begun(model, u, clock, start)
-        error = (error - _corrected(quick, error, len(y), start))[np.isfinite(y)]
-        return float(np.mean(error**2)) if np.all(np.isfinite(error)) else np.inf
+    left = _left(f, u, clock, y, start)
 
     def begun(level: float) -> Shaped:
         """From a level, in ranges of the training record."""
         return _beginning(f, at, level * size + least)
 
-    coarse = min(FILLED, key=lambda level: left(begun(level)))
-    fine = minimize_scalar(lambda level: left(begun(level)), (coarse, coarse + 0.01))
+    coarse = min(FILLED, key=lambda level: _squares(left(begun(level))))
+    fine = minimize_scalar(lambda level: _squares(left(begun(level))), (coarse, coarse + 0.01))
     model = begun(float(fine.x))
-    return model if left(begun(-least / size)) - left(model) > REFUSED**2 * start.error else f
+    refused = _squares(left(begun(-least / size))) - _squares(left(model)) > REFUSED**2 * start.error
+    return model if refused else f
+
+
+def _as_full(f: Shaped, at: int, u: Array, clock: Clock, y: Array, start: Start) -> Shaped:
+    """A model with a store between ends, as full as the window says, by steps from where the training record began, from its ends and from
+    between them."""
+    q = f.p[f.structure.slices()[at]]
+    left = _left(f, u, clock, y, start)
+    reach = float(np.sum(np.abs(u - q[1])))  # as far as it may go in the window: from there it meets no end
+    move, tried = ASIDE * reach, []
+    for level in (float(q[-1]), 0.0, *map(abs, q[2:-1]), reach, -reach):
+        for _ in range(STEPS):
+            model, more, less = (_beginning(f, at, level + d) for d in (0.0, move, -move))
+            error, slope = left(model), (left(more) - left(less)) / (2.0 * move)
+            tried.append((_squares(error), model))
+            level -= float(np.nan_to_num(slope @ error / max(slope @ slope, 1e-300)))
+    return min(tried, key=lambda entry: entry[0])[1]
+
+
+def _left(f: Shaped, u: Array, clock: Clock, y: Array, start: Start) -> Callable[[Shaped], Array]:
+    """What a model leaves of a window's measured samples beside what its quick poles explain: a state that does not decay in the
+    window is not told from a level of a store."""
+    poles = np.roots(denominator(f))
+    quick = np.atleast_1d(np.real(np.poly(poles[np.abs(poles) ** len(y) < GONE])))
+
+    def left(model: Shaped) -> Array:
+        error = y - _begun(model, u, clock, start)
+        return (error - _corrected(quick, error, len(y), start))[np.isfinite(y)]
+
+    return left
+
+
+def _squares(error: Array) -> float:
+    """Mean square."""
+    return float(np.mean(error**2)) if np.all(np.isfinite(error)) else np.inf
 
 
 def _corrected(den: Array, error: Array, window: int, start: Start) -> Array:

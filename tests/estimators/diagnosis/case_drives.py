@@ -1,12 +1,13 @@
-"""Rigs with a gear that has play, and a transmitter that follows at limited rates: simulated as in `case_classes`."""
+"""Rigs with a gear that has play, a transmitter that follows at limited rates, and stores that run full or empty: simulated as in
+`case_classes`."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from tests.estimators.diagnosis.case_parts import FINE, linear
+from tests.estimators.diagnosis.case_parts import FINE, lag, linear
 
-__all__ = ["driveline", "engine", "joint", "transmitter"]
+__all__ = ["buffer", "cistern", "driveline", "engine", "joint", "overflowing", "transmitter"]
 
 
 def _through_a_gear(u, a, seen):
@@ -45,3 +46,26 @@ def transmitter(u, a):
             v += (np.clip(move, -0.12, 0.08) if a else move) / FINE
         out[k] = v
     return out
+
+
+def _filling(u, a, low, high):
+    """A vessel with a small leak that a flow fills from a quarter of the way, its ends in the way or not, read with a lag."""
+    x, out = 0.0, np.zeros(len(u))
+    for k, value in enumerate(u):
+        out[k] = x
+        for _ in range(FINE):
+            x += (value - 0.1 - 0.01 * x) / FINE
+            x = min(max(x, low), high) if a else x
+    return lag(out, 0.4)
+
+
+def buffer(u, a):
+    return _filling(u, a, -8.0, 16.0)
+
+
+def cistern(u, a):
+    return _filling(u, a, -6.0, np.inf)
+
+
+def overflowing(u, a):
+    return _filling(u, a, -np.inf, 6.0)

@@ -6,7 +6,15 @@ import numpy as np
 from scipy.signal import lfilter
 
 from tests.estimators.diagnosis.case_classes import CLASSES, LOOKALIKES
-from tests.estimators.diagnosis.case_drives import driveline, engine, joint, transmitter
+from tests.estimators.diagnosis.case_drives import (
+    buffer,
+    cistern,
+    driveline,
+    engine,
+    joint,
+    overflowing,
+    transmitter,
+)
 from tests.estimators.diagnosis.case_parts import FINE, lag, linear, read, sensor, swing
 
 __all__ = ["ALL_CLASSES", "ALL_LOOKALIKES"]
@@ -337,6 +345,7 @@ ALL_CLASSES = CLASSES | {
     "acts_since": (opened, 1, {"mean": 2.0, "inputs": 2}), "damping_settles": (leaking, 2, {}), "multiplexed of lags": (polled, 2, {}),
     "rate_in_course": (steered_ship, 3, {"hold": 40, "size": 0.5}), "automatic_gain": (compressed, 2, {}), "output_gain_periodic": (beating, 2, {}),
     "sensor_rate": (transmitter, 3, {}), "geared_servo": (joint, 4, {"hold": 15}), "geared_load": (driveline, 3, {"hold": 15}), "geared_motor": (engine, 3, {"hold": 15}),
+    "store": (buffer, 2, {"hold": 15}), "store_empty": (cistern, 2, {"hold": 15}), "store_full": (overflowing, 2, {"hold": 15}),
     "recycle": (recycled, 2, {}), "waveform": (on_a_timer, 2, {}), "stiction_sliding": (slid, 2, {"hold": 2}),
 }  # fmt: skip
 
@@ -345,6 +354,8 @@ ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     ("sensor_rate", "rate_in_loop"), ("sensor_rate", "rate_limit_servo"), ("rate_limit_servo", "sensor_rate"), ("sensor_rate", "sensor_paced"), ("rise_and_fall", "sensor_rate"),
     ("geared_servo", "clearance"), ("geared_servo", "stiction"), ("geared_servo", "rate_in_loop"), ("geared_load", "geared_motor"), ("geared_motor", "geared_load"),
     ("clearance_sprung", "geared_servo"), ("rate_in_loop", "geared_load"), ("geared_load", "stiction"),
+    ("store", "wind_up"), ("wind_up", "store"), ("store", "relay_feedback"), ("relay_feedback", "store"), ("store", "rate_limit_servo"), ("rate_limit_servo", "store"),
+    ("store_empty", "store_full"), ("store_full", "store_empty"), ("store_empty", "output_cutoff"), ("store_full", "output_ratio"), ("rate_in_loop", "store"),
     ("stiction", "stiction_sliding"), ("stiction_sliding", "plays"), ("clearance", "stiction_sliding"),
     ("recycle", "rate_in_loop"), ("recycle", "interleaved"), ("rate_in_loop", "recycle"), ("relay_feedback", "recycle"), ("delay_periodic", "recycle"), ("recycle", "lag_drift"),
     ("waveform", "gain_periodic"), ("gain_periodic", "waveform"), ("waveform", "multiplexed of lags"), ("pulse_input", "waveform"), ("output_gain_periodic", "waveform"),

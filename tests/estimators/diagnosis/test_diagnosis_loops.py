@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from estimators.diagnosis.effects.kernels.loop_kernels import COURSE, geared, steered_loop
+from estimators.diagnosis.baseline.linear_model import Prior
+from estimators.diagnosis.effects import Clock, named
+from estimators.diagnosis.effects.kernels.loop_kernels import COURSE, geared, steered_loop, stored
+from estimators.diagnosis.model.simulation import simulate
+from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.search.free_runs import Start, _Moved, free_run
 
 
 @pytest.mark.parametrize("which", [0, 1, COURSE])
@@ -41,3 +46,39 @@ def test_a_geared_drive_is_its_differential_equation(torque, seen):
     assert np.max(np.abs(run - plain)) < 0.005 * np.ptp(plain)
     slope = lambda d: (geared(u, p + d * np.eye(7)[6], 0.0, torque, seen) - run) / d
     assert np.max(np.abs(slope(1e-6) - slope(1e-3))) < 0.1 * np.max(np.abs(slope(1e-3)))
+
+
+@pytest.mark.parametrize("leak", [0.0, 0.05])
+def test_a_store_is_its_differential_equation(leak):
+    """Against two thousand Euler's steps to a sample; before the record it waits where it stands."""
+    u, h, x, plain = np.repeat([1.0, 2.0, -1.5, 0.5, -3.0], 12), 1.0 / 2000, 1.5, []
+    for value in u:
+        for _ in range(2000):
+            x = min(max(x + h * (value - 0.3 - leak * x), 0.0), 9.0)
+        plain.append(x)
+    run = stored(u, leak, 0.3, np.array([0.0, 9.0, 1.5]), 0)
+    assert min(plain) == 0.0
+    assert max(plain) == 9.0
+    assert np.max(np.abs(run - plain)) < 2e-3
+    late = stored(np.concatenate((np.full(7, 5.0), u)), leak, 0.3, np.array([0.0, 9.0, 1.5]), 7)
+    assert np.array_equal(late[:7], np.full(7, 1.5))
+    assert np.array_equal(late[7:], run)
+
+
+@pytest.mark.parametrize(
+    ("key", "ends", "levels"),
+    [("store", [9.0], [0.0, 4.0, 9.0]), ("store_empty", [], [0.0, 30.0]), ("store_full", [], [-30.0, 0.0])],
+)
+def test_a_record_says_how_full_its_store_is_at_its_start(key, ends, levels):
+    """Whatever it held when the training record began: from between its ends, and at them."""
+    rng = np.random.default_rng(5)
+    u, clock = np.repeat(rng.uniform(-1.0, 1.6, 20), 10)[:, None], Clock(np.arange(200.0), 200)
+    s = Structure(1).adding(Part(named(key)))
+    p = np.array([-0.3, 0.7, 0.02, 0.3, *ends, 3.0 if key != "store_full" else -3.0])
+    start = Start(Prior(0.0, 0.9 ** np.arange(64.0), 1e-4), rest=False, error=1e-4)
+    for level in levels:
+        y = simulate(s, np.append(p[:-1], level), u, clock) + 0.01 * rng.standard_normal(200)
+        run = free_run(_Moved(s, p), u, clock, y, 20, start)
+        assert np.max(np.abs(run - y)) < 0.05
+        untold = free_run(_Moved(s, p), u, clock, np.full(200, np.nan), 20, start)
+        assert np.max(np.abs(untold - y)) > 1.0

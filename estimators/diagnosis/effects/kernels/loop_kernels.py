@@ -1,4 +1,4 @@
-"""Compiled loops of which only the set point and what they drive are seen: an actuator of limited stroke or speed, a relay.
+"""Compiled loops of which only the set point and what they drive are seen: an actuator of limited stroke or speed, a relay, a store.
 
 CasADi defines the same steps in `symbols.loops`; a test holds the two to 1e-9.
 """
@@ -174,4 +174,19 @@ def geared(signal, p, start, torque, seen):  # pragma: no cover - compiled
             x[:] = ahead
         if not written(out, k, x[seen]):
             return out
+    return out
+
+
+@compiled
+def stored(signal, leak, level, ends, lead):  # pragma: no cover - compiled
+    """State at the end of each sample of x' = u - level - leak x, held between two ends; it waits `lead` samples at its start, the
+    third of them. Exact for an input that is held: it goes one way within a sample, and stays at the end that it meets."""
+    out = np.empty_like(signal)
+    stays = np.exp(-leak)
+    fills = (1.0 - stays) / leak if leak > 1e-9 else 1.0
+    x = ends[2]
+    for k in range(signal.shape[0]):
+        if k >= lead:
+            x = min(max(stays * x + fills * (signal[k] - level), ends[0]), ends[1])
+        out[k] = x
     return out

@@ -20,8 +20,9 @@ from estimators.diagnosis.effects.loops.remembering import (
     STICTION,
     play_widths,
 )
+from estimators.diagnosis.effects.loops.stores import STORES
 
-__all__ = ["LOOPS", "PACES", "play_widths", "slowest_rate"]
+__all__ = ["LOOPS", "PACES", "STORES", "play_widths", "slowest_rate"]
 
 LOOPS = (
     SCANNED,
@@ -37,4 +38,5 @@ LOOPS = (
     PLAYED,
     RECYCLE,
     *GEARED,
+    *STORES,
 )

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from estimators.diagnosis.effects.kernels.loop_kernels import COURSE, geared_at_rest, geared_matrices
 from estimators.diagnosis.effects.kernels.recursion_kernels import WITHIN
 from estimators.diagnosis.effects.loops.geared import GEARED, of_drive
+from estimators.diagnosis.effects.loops.stores import STORES
 from estimators.diagnosis.effects.sensing.rates import limits
 from estimators.diagnosis.effects.symbols import terms
 from estimators.diagnosis.effects.symbols.wiring import Wiring
@@ -121,8 +122,23 @@ def _geared(torque: bool, seen: int) -> Callable[[Wiring, Any, Array], Any]:
     return geared
 
 
+def _stored(ends: tuple[float, float]) -> Callable[[Wiring, Any, Array], Any]:
+    def stored(w: Wiring, x: Any, p: Array) -> Any:
+        (low, high), leak = ends, abs(float(p[0]))
+        high = abs(float(p[2])) if len(p) > 3 else high
+        s, stays = w.state(min(max(float(p[-1]), low), high)), float(np.exp(-leak))
+        filled = stays * s.x + ((1.0 - stays) / leak if leak > 1e-9 else 1.0) * (x - p[1])
+        s.after = w.ca.if_else(
+            w.k < 0.0, s.x, w.ca.fmin(w.ca.fmax(filled, low), high)
+        )  # it waits before the record
+        return s.after
+
+    return stored
+
+
 LOOPED: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
     "rate_limit": _servo(1), "rate_limit_sampled": _servo(0), "rate_limit_servo": _servo(1), "wind_up": _wound_up, "relay_feedback": _switched,
     "rate_in_loop": _steered(0), "rate_of_loop": _steered(1), "rate_in_course": _steered(COURSE),
     "sensor_rate": _trailed, **{e.key: _geared(*how) for e, how in GEARED.items()},
+    **{e.key: _stored(ends) for e, ends in STORES.items()},
 }  # fmt: skip

@@ -1,0 +1,86 @@
+"""What the input fills, between an empty and a full level that it cannot leave: a tank, a queue, a stem between its end stops."""
+
+from collections.abc import Iterator
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
+from estimators.diagnosis.effects.input import kept
+from estimators.diagnosis.effects.loops.limited import NEAR, shaped
+
+Array = NDArray[Any]
+LEAKS = (0.0, 0.3, 1.0)
+"""Of the linear model's slowest pole, how fast a store is taken to leak: its ends cut its time short."""
+LEVELS = np.linspace(0.0, 1.0, 18)[1:-1]
+"""Of the input's range, where a store without a leak may stand still: a tenth off, it is at the other end most of the time."""
+FULL, FILLED = (0.1, 0.25, 0.5), (0.0, 0.1, 0.3, 1.0)
+"""Of the way that it would go from one end without the other, where the other may be; and where between them it stood at first."""
+LEAST = 1e-3
+"""Of that way, a distance of the ends below which nothing moves between them."""
+
+
+def _stored(low: float, high: float) -> Any:
+    """What is in a store between two ends; an infinite `high` or `low` is no end, and where both are finite, the third parameter is one."""
+
+    def run(x: Array, p: Array, clock: Clock) -> Array:
+        from estimators.diagnosis.effects.kernels.loop_kernels import stored
+
+        top = abs(float(p[2])) if len(p) > 3 else high
+        start = min(max(float(p[-1]), low), top)
+        return kept(
+            lambda x, p: stored(x, abs(float(p[0])), float(p[1]), np.array([low, top, start]), clock.lead),
+            x,
+            p,
+            (low, high, clock.lead),
+        )
+
+    return run
+
+
+def _between(low: float, high: float) -> Any:
+    def shapes(slowest: float, u: Array) -> Iterator[list[float]]:
+        from estimators.diagnosis.effects.kernels.loop_kernels import stored
+
+        for share, level in product(LEAKS, float(u.min()) + float(np.ptp(u)) * LEVELS):
+            leak = share * slowest
+            end = np.array([low, np.inf if low == 0.0 else high, 0.0])
+            way = float(np.ptp(stored(np.ascontiguousarray(u), leak, level, end, 0)))
+            if not 0.0 < way < np.inf:
+                continue
+            if np.isfinite(low) and np.isfinite(high):
+                yield from ([leak, level, full * way, at * full * way] for full, at in product(FULL, FILLED))
+            else:
+                yield from ([leak, level, (1.0 if low == 0.0 else -1.0) * at * way] for at in FILLED)
+
+    return shapes
+
+
+def _store(key: str, sentence: str, low: float, high: float) -> Effect:
+    both = np.isfinite(low) and np.isfinite(high)
+    parameters = (
+        {"leak": "1/sample", "level": "u"} | ({"full": "u sample"} if both else {}) | {"start": "u sample"}
+    )
+    effect = Effect(
+        key=key, cause="state_saturation", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=50, apply=_stored(low, high), sentence=sentence,
+        parameters=parameters,
+        search=shaped(
+            lambda: effect, _between(low, high), lambda slowest, su: [slowest, su, *[su / slowest] * (len(parameters) - 2)],
+            NEAR, np.eye(len(parameters)),
+        ),
+    )  # fmt: skip
+    return effect
+
+
+WORDS = "the input fills a store, a tank, a queue, a stem between stops, {}"
+STORES: dict[Effect, tuple[float, float]] = {
+    _store(key, WORDS.format(ends), low, high): (low, high)
+    for key, ends, low, high in (
+        ("store", "that gets no emptier and no fuller than at its ends", 0.0, 1.0),
+        ("store_empty", "that gets no emptier than at its end", 0.0, np.inf),
+        ("store_full", "that gets no fuller than at its end", -np.inf, 0.0),
+    )
+}
+"""The effects, and the ends of each; where both are finite, the upper one is a parameter."""
