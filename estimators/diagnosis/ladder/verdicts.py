@@ -146,9 +146,11 @@ def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
         return []
     claimed = _supported(o, _claimed(o, tag), policy)
     linear = bool(claimed) and o.bent and all(f.nature == Nature.LINEAR for f in claimed)
-    if linear or (claimed and o.gainsaid(claimed[0].nature)):
+    anything = o.share.explainable and o.named.anything(CATALOGUE)
+    if anything or linear or (claimed and o.gainsaid(claimed[0].nature)):
         what = "other linear dynamics" if linear else claimed[0].cause.replace("_", " ")
-        words = f"unused blocks get better with {what}{tag}, but there is more: {o.share.natures[0].sentence}"
+        more = "and as much with effects of other natures" if anything else "but there is more"
+        words = f"unused blocks get better with {what}{tag}, {more}: {o.share.natures[0].sentence}"
         claimed = [Finding("", UNKNOWN, o.share.nature, claimed[0].weight, 0.0, words)]
     if Kind.NAMED in kinds:
         gained = sum(f.weight for f in claimed)

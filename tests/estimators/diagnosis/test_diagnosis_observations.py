@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
+import pytest
 from scipy.signal import lfilter
 
 from estimators import diagnose
 from estimators.diagnosis.effects import CATALOGUE
+from estimators.diagnosis.ladder import verdicts
 from estimators.diagnosis.ladder.claims import Claim, Named
+from estimators.diagnosis.ladder.steps import Kind
+from estimators.diagnosis.ladder.verdicts import Finding, _system
 from estimators.diagnosis.model.structure import Part
+from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.record.admission import told_from_clock
 from estimators.diagnosis.record.measurement import LONG_REST, goes_with_clock, observations
 from oed import Record
@@ -62,10 +70,33 @@ def test_an_input_that_goes_one_way_is_a_clock():
     assert told_from_clock(CATALOGUE, [Record(u, y)]) == tuple(CATALOGUE)
 
 
-def test_an_effect_with_equals_of_many_natures_is_none():
-    def named(*rivals):
-        return Named(None, (Claim(Part(CATALOGUE[0]), None, 0.0, rivals),), (), None)  # type: ignore[arg-type]
+def named(*rivals):
+    return Named(None, (Claim(Part(CATALOGUE[0]), None, 0.0, rivals),), (), None)  # type: ignore[arg-type]
 
+
+def test_an_effect_with_equals_of_many_natures_is_none():
     assert named("parameter_change", "duffing", "hammerstein").anything(CATALOGUE)
     assert not named("input_deadzone", "hammerstein", "output_nonlinearity").anything(CATALOGUE)
     assert not named().anything(CATALOGUE)
+
+
+@pytest.mark.parametrize("rivals", [(), ("parameter_change", "duffing", "hammerstein")])
+def test_where_a_regression_sees_it_such_an_effect_has_no_name_but_a_nature(rivals, monkeypatch):
+    """A forest's evaporation: "automatic gain", of which 23 others of seven natures were said to be equals; stomata close, at the input."""
+    head = Finding("saturation", "input_saturation", "noise", 0.1, 0.0, "")
+    monkeypatch.setattr(verdicts, "_claimed", lambda o, tag: [head])
+    monkeypatch.setattr(verdicts, "_supported", lambda o, claimed, policy: claimed)
+    monkeypatch.setattr(verdicts, "_nameless", lambda *_: [])
+    share = SimpleNamespace(
+        explainable=True, nature="static input nonlinearity", natures=[SimpleNamespace(sentence="9 %.")]
+    )
+    ladder = SimpleNamespace(chosen=SimpleNamespace(chain=[SimpleNamespace(kind=Kind.NAMED)]))
+    o: Any = SimpleNamespace(
+        inverse=False, bent=True, ladder=ladder, share=share, named=named(*rivals), gainsaid=lambda _: False
+    )
+    (found,) = _system(o, "", Policy())
+    assert (found.cause, found.nature) == (
+        ("unknown", "static input nonlinearity") if rivals else ("input_saturation", "noise")
+    )
+    share.explainable = False
+    assert _system(o, "", Policy()) == [head]
