@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import newton
 
 from estimators.diagnosis.baseline import Block, Blocks
 from estimators.diagnosis.discovery.fitting import REACH, Fitted, Piece, fit, run_piece, start_state
@@ -14,9 +15,11 @@ from estimators.diagnosis.discovery.form import NOTHING, Assembly, Filled
 Array = NDArray[Any]
 FIRM = 1.0  # error variances by which a carried or resting state is off
 LONGEST = 0.98  # correlation from sample to sample of the model's error: beyond it a level is no error but the state
+SECANTS = 20  # steps to the output that an output map reads as a value
 STILL = 5  # samples without a change of the drive that are taken for rest
 SETTLES, LONG = 10.0, 2000  # time constants, and samples at most, over which a model held at rest must stay
 ALIKE = 3.0  # standard errors of the model within which it stays
+CALM = 0.1  # share of its way that the model still goes in the second half of them where it comes to rest
 STEPS = 5  # of the window's fit: its problem is nearly linear
 FOLD_ROUNDS = 4  # of a fit that starts from that of all blocks
 AHEAD = 0.3  # share of a record that the forward check leaves out
@@ -70,10 +73,14 @@ def rest(asm: Assembly, theta: Array, y0: Array, d0: Array) -> Array:
     x, _ = start_state(asm, filled, state, d0)
     for i, n in enumerate(asm.form.orders):
         f = asm.first[i]
-        w = filled.terms(x, d0)
-        offset = float(mats[6][i] @ d0 + mats[7][i] @ w)  # what the output map adds, at its first value
-        x[f] = y0[i] - offset
-        x[asm.chain_states + i] = x[f]
+
+        def off(value: float, x: Array = x, i: int = i, f: int = f) -> float:
+            """By how much an output of this value is read as more than it is to be."""
+            x[[f, asm.chain_states + i]] = value
+            return value + float(mats[6][i] @ d0 + mats[7][i] @ filled.terms(x, d0)) - float(y0[i])
+
+        found: Any = newton(off, y0[i], maxiter=SECANTS, full_output=True, disp=False)
+        off(found[0] if found[1].converged else y0[i] - off(y0[i]))
         w = filled.terms(x, d0)
         for m in range(n - 1):
             x[f + m + 1] = 0.0
@@ -126,18 +133,23 @@ def expected_state(
     """Whole state before any output is looked at, and whether it is one of rest."""
     filled = asm.fill(theta)
     expected = rest(asm, theta, first_level(piece, window), piece.d[0])
-    if _rests(asm, filled, expected, piece, prior.mse):
-        return expected, True
-    return start_state(asm, filled, prior.mean, piece.d[0])[0], False
+    settled = _settled(asm, filled, expected, piece, prior.mse)
+    if settled is None:
+        return start_state(asm, filled, prior.mean, piece.d[0])[0], False
+    return settled, True
 
 
-def _rests(asm: Assembly, filled: Filled, x: Array, piece: Piece, mse: float) -> bool:
-    """Whether the drive stands still at first and the model, held there, stays where the record starts."""
+def _settled(asm: Assembly, filled: Filled, x: Array, piece: Piece, mse: float) -> Array | None:
+    """Where the model comes to rest if held as the drive stands at first, so that the noise of what was read there is no state, or where
+    it began if it never does; None where the drive moves at once, or the model does not stay where the record starts."""
     if not np.all(piece.d[:STILL] == piece.d[0]):
-        return False
+        return None
     long = int(min(SETTLES / min(asm.form.paces), LONG))
     run = filled.run(x, np.tile(piece.d[0], (long, 1)))
-    return run.fine and bool(np.abs(run.y - run.y[0]).max() < ALIKE * np.sqrt(mse))
+    if not (run.fine and np.abs(run.y - run.y[0]).max() < ALIKE * np.sqrt(mse)):
+        return None
+    rests = np.abs(run.y[-1] - run.y[long // 2]) <= CALM * np.abs(run.y[-1] - run.y[0])
+    return run.states[-1].copy() if rests.all() else x
 
 
 def _window_state(

@@ -212,11 +212,11 @@ def _turns(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     from estimators.diagnosis.model.structure import Part
 
     s, y, keep = base.structure, channel.y, channel.keep
-    if s.layout != "tf" or s.effects or not keep.all():
+    if s.layout != "tf" or s.effects or np.mean(keep) < KEPT:
         return
     tried = [(found, float(pole)) for pole in LAGS if (found := _unrolled(y, float(pole))) is not None]
     for (_, angle, clear, (turn, centre)), pole in sorted(tried, key=lambda t: t[0][0])[:SMOOTHEST]:
-        seen = np.concatenate((y[:1], (y[1:] - pole * y[:-1]) / (1.0 - pole)))
+        seen, clear = np.concatenate((y[:1], (y[1:] - pole * y[:-1]) / (1.0 - pole))), clear & keep
         forms = [replace(s, order=n, taps=n, delay=d) for n in ORDERS_TURNED for d in {0, s.delay}]
         fits = [fit_linear(replace(channel, y=angle, keep=clear), form, rough=True) for form in forms]
         for f in sorted(fits, key=lambda f: f.criterion)[:FORMS]:
@@ -237,7 +237,7 @@ def _turns(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
             # a jump that comes samples early or late says nothing of the parameters yet
             for _ in range(COUNTS):
                 e = y - simulate(new, p, channel.u, channel.clock)
-                near = replace(channel, keep=np.abs(e) < MOVED * size)
+                near = replace(channel, keep=keep & (np.abs(e) < MOVED * size))
                 p = fit(near, new, p, scales, iterations=10, colour=False).p
             yield fit(channel, new, p, scales, noise=base.noise, iterations=30)
 

@@ -241,6 +241,23 @@ def test_a_discovered_answer_is_its_twin_in_every_slot(term):
     )
 
 
+def test_a_discovered_model_with_a_steep_output_map_starts_where_its_record_rests(rng):
+    """A thermistor's curve, of the size of what it bends: its runs had begun a third of a volt off, and took a tenth of the record back."""
+    model = _discovered(Factor(Kind.TANH, "y0", 0.1, 0.5), slot="output")
+    theta = model.theta.copy()
+    theta[model.form.blocks[1].start] = 2.0
+    model = replace(model, theta=theta, prior=replace(model.prior, mse=1e-4))
+    u = np.concatenate((np.full(400, 0.8), np.repeat([1.5, -0.4, 0.9], 60)))[:, None]
+    rested = model.simulate(Record(u, np.full((580, 1), np.nan), 0.5), 0)[
+        385:
+    ]  # fifteen samples of rest, then what moves
+    y = rested + 0.01 * model.scales.sy * rng.standard_normal(rested.shape)
+    run = model.simulate(Record(u[385:], y, 0.5), 0)
+    assert np.max(np.abs(run - rested)) < 0.002 * np.ptp(
+        rested
+    )  # nor is the noise of its first sample its state
+
+
 def test_several_outputs_share_one_step_and_one_discovered_model():
     found = DiscoveredAnswer(0, _discovered(Factor(Kind.CUBE, "y0")))
     linear = LinearAnswer(1, (0,), LinearModel(DEN, NUM), PRIOR)
