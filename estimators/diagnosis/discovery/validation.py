@@ -1,5 +1,6 @@
 """What a discovered model is worth on data that it did not see: starts from a window, blocks left out, stability."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -79,7 +80,9 @@ def rest(asm: Assembly, theta: Array, y0: Array, d0: Array) -> Array:
             x[[f, asm.chain_states + i]] = value
             return value + float(mats[6][i] @ d0 + mats[7][i] @ filled.terms(x, d0)) - float(y0[i])
 
-        found: Any = newton(off, y0[i], maxiter=SECANTS, full_output=True, disp=False)
+        with warnings.catch_warnings():  # of a map that is flat there
+            warnings.simplefilter("ignore", RuntimeWarning)
+            found: Any = newton(off, y0[i], maxiter=SECANTS, full_output=True, disp=False)
         off(found[0] if found[1].converged else y0[i] - off(y0[i]))
         w = filled.terms(x, d0)
         for m in range(n - 1):

@@ -45,7 +45,8 @@ UNTOLD = 1e-3
 ASIDE = 1e-3
 """Of how far a store may go within a window, by which its level is moved for a derivative."""
 STEPS = 6
-"""Gauss-Newton steps without a block, from the fit to all blocks: more than the two or three that change anything."""
+"""Gauss-Newton steps without a block, from the fit to all blocks, and to how full a store is: more than the two or three that change
+anything."""
 
 
 class Shaped(Protocol):
@@ -222,10 +223,12 @@ def _filled(f: Shaped, at: int, u: Array, clock: Clock, y: Array, start: Start) 
 def _as_full(f: Shaped, at: int, u: Array, clock: Clock, y: Array, start: Start) -> Shaped:
     """A model with a store between ends, as full as the window says, by steps from where the training record began, from its ends and from
     between them."""
-    q = f.p[f.structure.slices()[at]]
+    q, flow = f.p[f.structure.slices()[at]], u[:, f.structure.parts[at].channel]
     left = _left(f, u, clock, y, start)
-    reach = float(np.sum(np.abs(u - q[1])))  # as far as it may go in the window: from there it meets no end
-    move, tried = ASIDE * reach, []
+    reach = float(
+        np.sum(np.abs(flow - q[1]))
+    )  # as far as it may go in the window: from there it meets no end
+    move, tried = max(ASIDE * reach, 1e-300), []
     for level in (float(q[-1]), 0.0, *map(abs, q[2:-1]), reach, -reach):
         for _ in range(STEPS):
             model, more, less = (_beginning(f, at, level + d) for d in (0.0, move, -move))

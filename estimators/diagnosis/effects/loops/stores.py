@@ -18,8 +18,6 @@ LEVELS = np.linspace(0.0, 1.0, 18)[1:-1]
 """Of the input's range, where a store without a leak may stand still: a tenth off, it is at the other end most of the time."""
 FULL, FILLED = (0.1, 0.25, 0.5), (0.0, 0.1, 0.3, 1.0)
 """Of the way that it would go from one end without the other, where the other may be; and where between them it stood at first."""
-LEAST = 1e-3
-"""Of that way, a distance of the ends below which nothing moves between them."""
 
 
 def _stored(low: float, high: float) -> Any:
