@@ -24,8 +24,7 @@ SEED = 1987  # of the poles: the same record has the same answer
 NEAR_ZERO = 0.35  # of the mean magnitude: below it a minimum may be a change of sign
 # poles of a filter behind the fold: a jump is one of the angle only where it is undone
 LAGS = np.arange(0.0, 0.96, 0.05)
-# of them whose angle, unrolled, moves least; linear models of it that are fitted with the fold
-SMOOTHEST, FORMS = (2, 2)
+FOLLOWED, BY, FORMS = (2, 2, 2)  # of them, whose angle a model of so many poles follows best; models of it that are fitted
 LEAST_TURNS = 2  # jumps of a record that make it one of an angle
 COUNTS = 3  # rounds of turns from the model, and the model from the turns
 CLEAR, TAIL = 3, 10  # samples before and after a jump that say little: a filter keeps them
@@ -180,12 +179,12 @@ def _of_order(effect: Effect, fold: _Fold, channel: Any, base: Any, s: Any, size
         yield fit(channel, new, p, scales.copy(), noise=base.noise, iterations=30)
 
 
-def _unrolled(y: Array, pole: float) -> tuple[float, Array, Array, tuple[float, float]] | None:
-    """(how far it moves, angle, samples clear of jumps, (turn, middle)) of a reading without its filter and its turns."""
+def _unrolled(y: Array, pole: float, keep: Array) -> tuple[Array, Array, tuple[float, float]] | None:
+    """(angle, samples clear of jumps, (turn, middle)) of a reading without its filter and its turns."""
     seen = np.concatenate((y[:1], (y[1:] - pole * y[:-1]) / (1.0 - pole)))
-    low, high = (float(v) for v in np.quantile(seen, (0.002, 0.998)))
-    turn, step = high - low, np.abs(np.diff(seen))
-    sure = np.ones(len(y), dtype=bool)
+    clear = keep & np.concatenate((keep[:1], keep[:-1]))  # the filter remembers what does not count
+    low, high = (float(v) for v in np.quantile(seen[clear], (0.002, 0.998)))
+    turn, step, sure = high - low, np.abs(np.diff(seen)), clear.copy()
     sure[1:] &= step < MOVED * turn
     sure[:-1] &= step < MOVED * turn
     if sure.sum() < len(y) // 2:
@@ -194,11 +193,9 @@ def _unrolled(y: Array, pole: float) -> tuple[float, Array, Array, tuple[float, 
     jumps = at[1:][np.abs(np.diff(seen[sure])) > 0.5 * turn]
     if not LEAST_TURNS <= len(jumps) <= len(y) // 8:
         return None
+    clear[np.clip(jumps[:, None] + np.arange(-CLEAR, TAIL + 1), 0, len(y) - 1)] = False
     angle = np.interp(np.arange(len(y)), at, np.unwrap(seen[sure], period=turn))
-    clear = np.ones(len(y), dtype=bool)
-    for d in range(-CLEAR, TAIL + 1):
-        clear[np.clip(jumps + d, 0, len(y) - 1)] = False
-    return float(np.sum(np.diff(angle) ** 2)) * (1.0 - pole) ** 2, angle, clear, (turn, 0.5 * (low + high))
+    return angle, clear, (turn, 0.5 * (low + high))
 
 
 def _turns(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
@@ -214,9 +211,13 @@ def _turns(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     s, y, keep = base.structure, channel.y, channel.keep
     if s.layout != "tf" or s.effects or np.mean(keep) < KEPT:
         return
-    tried = [(found, float(pole)) for pole in LAGS if (found := _unrolled(y, float(pole))) is not None]
-    for (_, angle, clear, (turn, centre)), pole in sorted(tried, key=lambda t: t[0][0])[:SMOOTHEST]:
-        seen, clear = np.concatenate((y[:1], (y[1:] - pole * y[:-1]) / (1.0 - pole))), clear & keep
+    few, tried = replace(s, order=BY, taps=BY, delay=0), []
+    for pole in map(float, LAGS):
+        if (found := _unrolled(y, pole, keep)) is not None:
+            f = fit_linear(replace(channel, y=found[0], keep=found[1]), few, rough=True)
+            tried.append((float(np.mean(f.residual[found[1]] ** 2)) * (1.0 - pole) ** 2, pole, found))
+    for _, pole, (angle, clear, (turn, centre)) in sorted(tried, key=lambda t: t[0])[:FOLLOWED]:
+        seen = np.concatenate((y[:1], (y[1:] - pole * y[:-1]) / (1.0 - pole)))
         forms = [replace(s, order=n, taps=n, delay=d) for n in ORDERS_TURNED for d in {0, s.delay}]
         fits = [fit_linear(replace(channel, y=angle, keep=clear), form, rough=True) for form in forms]
         for f in sorted(fits, key=lambda f: f.criterion)[:FORMS]:
