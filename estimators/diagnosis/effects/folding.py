@@ -24,7 +24,7 @@ SEED = 1987  # of the poles: the same record has the same answer
 NEAR_ZERO = 0.35  # of the mean magnitude: below it a minimum may be a change of sign
 # poles of a filter behind the fold: a jump is one of the angle only where it is undone
 LAGS = np.arange(0.0, 0.96, 0.05)
-FOLLOWED, BY, FORMS = (2, 2, 2)  # of them, whose angle a model of so many poles follows best; models of it that are fitted
+FOLLOWED, BY, FORMS = (2, 2, 2)  # of them, whose angle so many poles follow best; models fitted
 LEAST_TURNS = 2  # jumps of a record that make it one of an angle
 COUNTS = 3  # rounds of turns from the model, and the model from the turns
 CLEAR, TAIL = 3, 10  # samples before and after a jump that say little: a filter keeps them
