@@ -90,7 +90,7 @@ def test_a_class_is_found_beside_spikes(key):
 
 
 def test_an_angle_is_unrolled_where_some_of_its_jumps_were_taken_for_wild_samples():
-    """They stand out of a linear model's residual: a position loop had been "a parameter change", 9.7 deg; 3.1 now, of 2.65."""
+    """They stand out of a linear model's residual: a position loop had been "a parameter change", 9.7 deg; 2.8 now, of 2.65."""
     channel, base, noise = record("wrapped", 1.0)
     steps = np.abs(np.diff(channel.y, prepend=channel.y[0]))
     some = channel.without(steps >= np.sort(steps)[-7])
