@@ -181,12 +181,8 @@ class _Moved:
 def _as_told(f: Shaped, u: Array, clock: Clock, y: Array, start: Start) -> Shaped:
     """A model whose parts with a start of their own begin another record as its window (M,) says."""
     for at, part in enumerate(f.structure.parts):
-        if part.effect is STORE_CURVE:
-            f = _filled(f, at, u, clock, y, start)
-        elif part.effect is REPORTED:
-            f = _as_read(f, at, u, clock, y, start)
-        elif part.effect in STORES:
-            f = _as_full(f, at, u, clock, y, start)
+        if part.effect in TOLD:
+            f = TOLD[part.effect](f, at, u, clock, y, start)
     return f
 
 
@@ -225,9 +221,8 @@ def _as_full(f: Shaped, at: int, u: Array, clock: Clock, y: Array, start: Start)
     between them."""
     q, flow = f.p[f.structure.slices()[at]], u[:, f.structure.parts[at].channel]
     left = _left(f, u, clock, y, start)
-    reach = float(
-        np.sum(np.abs(flow - q[1]))
-    )  # as far as it may go in the window: from there it meets no end
+    # as far as it may go in the window: from there it meets no end
+    reach = float(np.sum(np.abs(flow - q[1])))
     move, tried = max(ASIDE * reach, 1e-300), []
     for level in (float(q[-1]), 0.0, *map(abs, q[2:-1]), reach, -reach):
         for _ in range(STEPS):
@@ -236,6 +231,10 @@ def _as_full(f: Shaped, at: int, u: Array, clock: Clock, y: Array, start: Start)
             tried.append((_squares(error), model))
             level -= float(np.nan_to_num(slope @ error / max(slope @ slope, 1e-300)))
     return min(tried, key=lambda entry: entry[0])[1]
+
+
+TOLD = {STORE_CURVE: _filled, REPORTED: _as_read, **dict.fromkeys(STORES, _as_full)}
+"""Effects with a start of their own, and how a window says what it is."""
 
 
 def _left(f: Shaped, u: Array, clock: Clock, y: Array, start: Start) -> Callable[[Shaped], Array]:

@@ -20,20 +20,21 @@ FULL, FILLED = (0.1, 0.25, 0.5), (0.0, 0.1, 0.3, 1.0)
 """Of the way that it would go from one end without the other, where the other may be; and where between them it stood at first."""
 
 
-def _stored(low: float, high: float) -> Any:
-    """What is in a store between two ends; an infinite `high` or `low` is no end, and where both are finite, the third parameter is one."""
+def ends_of(p: Array, ends: tuple[float, float]) -> tuple[float, float, float]:
+    """The empty and the full level, and where between them the parameters say that it stood: where both ends are finite, the upper one is
+    the parameter before the last."""
+    low, high = ends[0], abs(float(p[2])) if len(p) > 3 else ends[1]
+    return low, high, min(max(float(p[-1]), low), high)
+
+
+def _stored(ends: tuple[float, float]) -> Any:
+    """What is in a store between two ends, of which an infinite one is none."""
 
     def run(x: Array, p: Array, clock: Clock) -> Array:
         from estimators.diagnosis.effects.kernels.loop_kernels import stored
 
-        top = abs(float(p[2])) if len(p) > 3 else high
-        start = min(max(float(p[-1]), low), top)
-        return kept(
-            lambda x, p: stored(x, abs(float(p[0])), float(p[1]), np.array([low, top, start]), clock.lead),
-            x,
-            p,
-            (low, high, clock.lead),
-        )
+        fill = lambda x, p: stored(x, abs(float(p[0])), float(p[1]), np.array(ends_of(p, ends)), clock.lead)
+        return kept(fill, x, p, (ends, clock.lead))
 
     return run
 
@@ -62,7 +63,7 @@ def _store(key: str, sentence: str, low: float, high: float) -> Effect:
         {"leak": "1/sample", "level": "u"} | ({"full": "u sample"} if both else {}) | {"start": "u sample"}
     )
     effect = Effect(
-        key=key, cause="state_saturation", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=50, apply=_stored(low, high), sentence=sentence,
+        key=key, cause="state_saturation", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=50, apply=_stored((low, high)), sentence=sentence,
         parameters=parameters,
         search=shaped(
             lambda: effect, _between(low, high), lambda slowest, su: [slowest, su, *[su / slowest] * (len(parameters) - 2)],

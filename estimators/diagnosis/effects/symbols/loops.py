@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from estimators.diagnosis.effects.kernels.loop_kernels import COURSE, geared_at_rest, geared_matrices
 from estimators.diagnosis.effects.kernels.recursion_kernels import WITHIN
 from estimators.diagnosis.effects.loops.geared import GEARED, of_drive
-from estimators.diagnosis.effects.loops.stores import STORES
+from estimators.diagnosis.effects.loops.stores import STORES, ends_of
 from estimators.diagnosis.effects.sensing.rates import limits
 from estimators.diagnosis.effects.symbols import terms
 from estimators.diagnosis.effects.symbols.wiring import Wiring
@@ -124,13 +124,11 @@ def _geared(torque: bool, seen: int) -> Callable[[Wiring, Any, Array], Any]:
 
 def _stored(ends: tuple[float, float]) -> Callable[[Wiring, Any, Array], Any]:
     def stored(w: Wiring, x: Any, p: Array) -> Any:
-        (low, high), leak = ends, abs(float(p[0]))
-        high = abs(float(p[2])) if len(p) > 3 else high
-        s, stays = w.state(min(max(float(p[-1]), low), high)), float(np.exp(-leak))
+        (low, high, start), leak = ends_of(p, ends), abs(float(p[0]))
+        s, stays = w.state(start), float(np.exp(-leak))
         filled = stays * s.x + ((1.0 - stays) / leak if leak > 1e-9 else 1.0) * (x - p[1])
-        s.after = w.ca.if_else(
-            w.k < 0.0, s.x, w.ca.fmin(w.ca.fmax(filled, low), high)
-        )  # it waits before the record
+        held = w.ca.fmin(w.ca.fmax(filled, low), high)
+        s.after = w.ca.if_else(w.k < 0.0, s.x, held)  # it waits before the record
         return s.after
 
     return stored
