@@ -33,7 +33,7 @@ LITTLE, SURELY, GROWTH = 0.5, 0.5, 1e3
 remembers longer than a block; of theirs, what it may leave, as its pole may also follow a drift; and by how much it may grow over
 a record: a free run shows no more of what starts it."""
 LAGS = 64
-"""Lags of the output's covariance that a prior holds: above every order."""
+"""Lags of the output's covariance, and of the inputs' changes, that a prior holds: above every order."""
 
 
 def best_linear(records: Sequence[Record], options: Options | None = None) -> Baseline:
@@ -282,4 +282,20 @@ def prior_of(records: Sequence[Record], i: int, options: Options) -> Prior:
     level, held = rest_level(records[0].u, records[0].y[:, i], covariance[0]), records[0].u[0]
     first = unmoved(records[0].u, records[0].y[:, i])
     start = float(first.mean()) if len(first) else np.nan
-    return Prior(mean, covariance, QUIET * covariance[0], bool(options.deviations), level, held, start)
+    at_rest = bool(options.deviations)
+    turned = (
+        np.empty((0, 0))
+        if at_rest
+        else np.array([_turned([r.u[:, j] for r in records]) for j in range(len(held))])
+    )
+    return Prior(mean, covariance, QUIET * covariance[0], at_rest, level, held, start, turned=turned)
+
+
+def _turned(inputs: Sequence[Array]) -> Array:
+    """Half the mean square change of an input within 0 to LAGS - 1 samples."""
+    out = np.zeros(LAGS)
+    for k in range(1, LAGS):
+        changes = np.concatenate([u[k:] - u[:-k] for u in inputs])
+        changes = changes[np.isfinite(changes)]
+        out[k] = 0.5 * np.mean(changes**2) if len(changes) else out[k - 1]
+    return out

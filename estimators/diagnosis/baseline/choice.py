@@ -119,16 +119,16 @@ def _left_open(
     """Variance of the runs on the inputs asked for that the records do not show; none below the error on unused blocks."""
     if not asked:
         return 0.0
-    *folds, last = trial.candidate.models
+    models, last = trial.candidate.models, trial.candidate.models[-1]
     error, seen, state = float(trial.squares.mean()), [r.u for r in records], 0.0
     if trial.slow and np.isfinite(error):
         state = float(np.mean([last.unset(prior, error, len(u), blocks.window) for u in asked]))
-    runs = run_spread(folds, asked, seen)
+    runs = run_spread(models, asked, prior, blocks.window)
     if np.isfinite(error) and not runs + state > OPEN * error:
         runs = max(runs, error * unseen(last, asked, seen))
     if not runs + state > OPEN * error:
         return 0.0
-    beyond = max(0.0, runs - run_spread(folds, seen, seen)) + state
+    beyond = max(0.0, runs - run_spread(models, seen, prior, blocks.window)) + state
     return beyond if beyond > OPEN * error else 0.0
 
 
@@ -152,19 +152,17 @@ def undetermined(models: Sequence[LinearModel], records: Sequence[Record]) -> fl
     return float(np.sum(jackknife(answers).mean(axis=-1)))
 
 
-def run_spread(models: Sequence[LinearModel], inputs: Sequence[Array], seen: Sequence[Array]) -> float:
-    """Mean variance of the models' runs on inputs (N, nu), by the jackknife, from the level of those seen by the fits.
+def run_spread(models: Sequence[LinearModel], inputs: Sequence[Array], prior: Prior, window: int) -> float:
+    """Mean variance of the runs of the models without one block or another on inputs (N, nu), by the jackknife.
 
-    Unused blocks have the frequencies and levels of the others: they say nothing of a run on inputs that have others.
+    All start from the first samples of the run of the last model, of all blocks, as a test record's first samples would
+    set them. Unused blocks have the frequencies and levels of the others: they say nothing of a run on inputs that have others.
     """
-    level = np.concatenate(list(seen)).mean(axis=0)
+    *folds, last = models
     found = []
-    for u in inputs:
-        drive = np.nan_to_num(u - level)
-        runs = [
-            [np.asarray(lfilter(b, m.den, x)) for b, x in zip(m.num, drive.T, strict=True)] for m in models
-        ]
-        found.append(jackknife(np.array(runs).sum(axis=1)).mean())
+    for u in map(np.nan_to_num, inputs):
+        y = last.free_run(prior, u, np.full(len(u), np.nan), 0)
+        found.append(jackknife(np.array([m.free_run(prior, u, y, window) for m in folds])).mean())
     return float(np.mean(found))
 
 

@@ -22,7 +22,7 @@ FORGOTTEN, LONGEST = 1e-2, 500
 REACH = 400
 """Most samples that set a training record's state: their covariance is solved as one matrix."""
 FEWEST = 5
-"""Samples from which on an output is known to rest, or a state is set by measurement."""
+"""Samples from which on an output is known to rest, an input to be held, or a state is set by measurement."""
 STILL = 0.05
 """Standard deviation of a resting output, of that of all its samples."""
 UNDRIVEN = 3.0
@@ -86,7 +86,8 @@ class Prior:
     signals are deviations from a rest in which every record starts; `level` output at which the training
     records rested under the inputs `held` before they were excited; NaN if they did not; `held` (nu,) those
     inputs; `first` mean output there, rest or noise: all that is known of where a model without a rest of its own starts;
-    `opening` (k,) the outputs there where the experiment starts far from the model's rest.
+    `opening` (k,) the outputs there where the experiment starts far from the model's rest; `turned` (nu, m) half the mean square change
+    of each input within 0 to m - 1 samples: how far those before a record may have been off its first.
     """
 
     mean: float
@@ -97,6 +98,7 @@ class Prior:
     held: Array = field(default_factory=lambda: np.empty(0))
     first: float = np.nan
     opening: Array = field(default_factory=lambda: np.empty(0))
+    turned: Array = field(default_factory=lambda: np.empty((0, 0)))
 
     def of(self, model: "LinearModel", u: Array, y: Array, known: bool = False) -> "Prior":
         """The prior with the opening of the training record (N, nu), (N,) where a model at rest would miss it, or is `known` to."""
@@ -276,9 +278,26 @@ class LinearModel:
         if n and len(seen):
             lead = np.concatenate((np.eye(n)[::-1], self.free(w)))
             spread = lead @ cov @ lead.T
+            # inputs that are held at first are taken to have been held before
+            if len(prior.turned) and self.num.any() and held_first(u) < FEWEST:
+                spread[n:, n:] += self._entered(prior.turned, w)
             inner = spread[np.ix_(seen, seen)] + prior.noise * np.eye(len(seen))  # pyright: ignore[reportCallIssue]
             ahead += spread[:, seen] @ definite(inner, y[seen - n] - ahead[seen], 1e-13)
         return ahead
+
+    def _entered(self, turned: Array, length: int) -> Array:
+        """(length, length) covariance of a free run, of the inputs before its record, which are taken to have been its first ones."""
+        out = np.zeros((length, length))
+        for b, half in zip(self.num, turned, strict=True):
+            lags = np.arange(1, np.flatnonzero(b)[-1] + 1) if b.any() else np.empty(0, dtype=int)
+            change = lambda k, half=half: half[np.minimum(np.abs(k), len(half) - 1)]
+            off = change(lags)[:, None] + change(lags) - change(lags[:, None] - lags)
+            enters = np.zeros((length, len(lags)))
+            for k in range(min(length, len(lags))):
+                enters[k, : len(lags) - k] = b[k + 1 : len(lags) + 1]
+            left = np.asarray(lfilter([1.0], self.den, enters, axis=0))
+            out += left @ off @ left.T
+        return out
 
     def unset(self, prior: Prior, noise: float, length: int, window: int) -> float:
         """Mean variance of a free run of `length` samples, as far as a window of samples with noise of a variance leaves its state

@@ -254,6 +254,7 @@ def test_what_rings_longer_than_the_lags_taken_out_does_not_look_bent(monkeypatc
     assert any("nonlinear" in x.nature and x.p_value < FIRM for x in found) is bent
 
 
+@pytest.mark.validate
 @pytest.mark.slow
 def test_what_one_output_feeds_back_is_no_effect_at_another():
     train, test, _ = linear_case(1320)

@@ -319,7 +319,9 @@ def test_a_sensor_of_two_decades_is_a_logarithm_found_by_undoing_the_curve() -> 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("level, memory, noise", [(0.0, 0.0, 0.04), (12.0, 0.7, 0.3)])
+@pytest.mark.parametrize(
+    "level, memory, noise", [(0.0, 0.0, 0.04), pytest.param(12.0, 0.7, 0.3, marks=pytest.mark.validate)]
+)
 def test_a_zero_that_creeps_is_a_drift_though_a_predictor_follows_it(level, memory, noise) -> None:
     """In slower noise and at a level a gain that decays does nearly as well, and so does much else in one-step errors."""
     rng = np.random.default_rng(8)
@@ -335,6 +337,7 @@ def test_a_zero_that_creeps_is_a_drift_though_a_predictor_follows_it(level, memo
     assert result.rmse_after.value < 1.3 * noise
 
 
+@pytest.mark.validate
 @pytest.mark.slow
 def test_the_linear_model_of_a_coarse_encoder_is_read_as_the_encoder_reads(rng) -> None:
     def shaft(n: int) -> Record:

@@ -100,7 +100,14 @@ def test_an_actuator_that_stands_on_a_level_stays_there(key):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("key", [key for key in PROFILED if key in CLASSES])
+@pytest.mark.parametrize(
+    "key",
+    [
+        key if key in ("input_staircase", "gain_periodic") else pytest.param(key, marks=pytest.mark.validate)
+        for key in PROFILED
+        if key in CLASSES
+    ],
+)
 def test_each_is_named_and_removed_and_the_same_rig_without_it_is_left_alone(key):
     """Two experiments each, the control in noise of 5 % with a pole at 0.8: one record, false-alarm rate 1 %.
 
@@ -136,6 +143,7 @@ def test_a_servo_takes_the_pole_that_the_linear_model_had_for_its_lag():
     np.testing.assert_allclose(np.abs(found[0].p[-3:]), [0.3, 0.5, 1.4], rtol=0.05)
 
 
+@pytest.mark.validate
 @pytest.mark.slow
 def test_a_disturbance_that_passes_is_found_where_the_linear_model_took_it_for_slow_poles():
     """A door stands open for a fifth of the record and is shut again before the test: a linear model of many poles follows that."""
@@ -174,7 +182,9 @@ def test_no_passing_disturbance_explains_slow_noise_as_one_that_is_there_does(ra
 @pytest.mark.parametrize(
     "response", [[0.0, 1.0, 0.5], [2.0], [1.0, 0.5, 0.25]], ids=["filter", "gain", "mean"]
 )
-@pytest.mark.parametrize("kind", ["noise", "step", "signs"])
+@pytest.mark.parametrize(
+    "kind", ["noise", *(pytest.param(k, marks=pytest.mark.validate) for k in ("step", "signs"))]
+)
 def test_a_record_without_any_noise_is_diagnosed(response, kind):
     """Nothing is left of it, and so nothing gained by any effect, whatever rounding leaves: what was gained had been a logarithm of
     0 / 0; of a gain a period of 1 / 0 was tried, of a step a share of nothing taken, of an output of few values its rounding."""
@@ -217,6 +227,7 @@ def test_the_gain_of_one_of_two_inputs_changes_on_a_level():
     assert found.parameters["gain_change.time"][0] == pytest.approx(400.0, abs=3.0)
 
 
+@pytest.mark.validate
 @pytest.mark.slow
 def test_a_gain_that_is_switched_by_a_clock_has_every_other_harmonic():
     """Two pumps that take turns: at its second harmonic, which a square wave has not, the gain had been left a sinusoid."""

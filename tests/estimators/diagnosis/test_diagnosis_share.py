@@ -53,7 +53,10 @@ def _linear(seed: int, kind: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["white", "coloured", "level", "feedback"])
+@pytest.mark.parametrize(
+    "kind",
+    ["feedback", *(pytest.param(k, marks=pytest.mark.validate) for k in ("white", "coloured", "level"))],
+)
 def test_a_linear_system_has_no_explainable_share(kind: str) -> None:
     """8 records a kind; the lower end of a 95 % interval of nothing exceeds 0 in at most 2.5 %: 2 of 8 have p < .016."""
     found = [_share(*_linear(seed, kind)) for seed in range(8)]
@@ -139,7 +142,10 @@ def _news(u: np.ndarray, y: np.ndarray, run: np.ndarray, *, past: bool = True) -
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["white", "coloured", "level", "feedback"])
+@pytest.mark.parametrize(
+    "kind",
+    ["white", *(pytest.param(k, marks=pytest.mark.validate) for k in ("coloured", "level", "feedback"))],
+)
 def test_a_curve_fitted_to_the_very_samples_of_a_linear_record_is_no_news(kind: str) -> None:
     """Of 8 records a kind, with the best of 6 curves by least squares on all samples: 3 errors are exceeded in one at most.
 

@@ -222,6 +222,7 @@ def polar_arm(coupled: float, n=900, noise=0.02, seed=0) -> Record:
     return Record(u, y + noise * y.std(axis=0) * rng.standard_normal((n, 2)), 0.1)
 
 
+@pytest.mark.validate
 @pytest.mark.slow
 def test_axes_that_push_each_other_are_found_and_named() -> None:
     record, other = polar_arm(1.0), polar_arm(1.0, seed=9)
