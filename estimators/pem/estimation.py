@@ -26,8 +26,8 @@ from estimators.pem.search.extras import (
 )
 from estimators.pem.search.global_search import best_optimum
 from estimators.pem.search.joint_fit import fit_together
-from estimators.pem.search.levenberg_marquardt import Optimum
-from estimators.pem.search.problem import Problem, prepare
+from estimators.pem.search.levenberg_marquardt import Optimum, determined
+from estimators.pem.search.problem import Problem, determining, prepare
 from estimators.pem.search.starts import reflected
 from estimators.pem.subspace.subspace_fit import by_subspace, check_subspace
 from oed.covariances import on_one_thread
@@ -366,8 +366,10 @@ def _fit_state_space(
         at = whitened.evaluate(point.z, point.extra[0])
         if at is not None:
             most, near = (10, 1e-5) if form.n_outputs > 1 else (how.max_iterations, how.tolerance)
-            found.append(whitened.descend(at, max_iterations=most, tolerance=near))
-    return min(found, key=lambda f: np.linalg.slogdet(f.point.extra[1])[1])
+            posed = determining(whitened.evaluate, at)
+            found.append(whitened.descend(at, max_iterations=most, tolerance=near, evaluate=posed))
+    # A model that nothing determines is no answer, however low its loss.
+    return min(found, key=lambda f: (not determined(f.point.hessian), np.linalg.slogdet(f.point.extra[1])[1]))
 
 
 def _by_armax(

@@ -5,9 +5,9 @@ from numpy.typing import NDArray
 
 from estimators.pem.fit import Fit
 from estimators.pem.predictors.of_structure import Structure
-from estimators.pem.search.confirmation import Standing, standing
+from estimators.pem.search.confirmation import Standing, over_ordered, standing
 from estimators.pem.search.extras import robust_factor, unweighted
-from estimators.pem.search.levenberg_marquardt import SINGULAR, Optimum, Point
+from estimators.pem.search.levenberg_marquardt import FLAT, SINGULAR, Optimum, Point
 from estimators.pem.search.problem import Problem
 from estimators.residual.measures import fit_percent
 from oed.data import Record
@@ -81,16 +81,23 @@ def result(
 
 
 def _too_high(problem: Problem, optimum: Optimum) -> list[str]:
-    """Why a search came to no end, where its orders are the reason."""
-    one = isinstance(problem.structure, Polynomial) and problem.structure.n_outputs == 1
-    if not one or optimum.status is not Status.MAX_ITERATIONS:
+    """Why a search came to no end, or was ended on the way, where its orders are the reason."""
+    if optimum.status is not Status.MAX_ITERATIONS and not (optimum.status.ok and optimum.decrement > FLAT):
         return []
-    if standing(problem, optimum) is not Standing.OVER_ORDERED:
-        return []
+    form = problem.structure
+    if isinstance(form, Polynomial) and form.n_outputs == 1:
+        above = standing(problem, optimum) is Standing.OVER_ORDERED
+    else:
+        above = form.n_outputs > 1 and over_ordered(problem, optimum.point)
+    cancel = (
+        "a mode is reached neither by the inputs nor by the noise"
+        if isinstance(form, StateSpace)
+        else "roots of B and F, or of C and D, cancel"
+    )
     return [
-        "the orders are too high: roots of B and F, or of C and D, cancel as far as the data tell, so that the loss falls on and on by "
+        f"the orders are too high: {cancel} as far as the data tell, so that the loss falls on and on by "
         "what fits noise. Nothing is left in the residual: lower orders serve."
-    ]
+    ] * above
 
 
 def _level(problem: Problem, point: Point, robust: str | None, freedom: float) -> float:

@@ -75,6 +75,15 @@ def polynomial_kernel(structure: Polynomial, levels: bool, initial: bool, weight
     return Kernel(by_trace if weighted else sums, trace, n)
 
 
+def _root(weight: NDArray) -> NDArray[np.float64]:
+    """A lower triangular root of a weight, which rounding may have left with an eigenvalue a little below zero."""
+    try:
+        return np.linalg.cholesky(weight)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(weight)
+        return np.linalg.qr(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T, mode="r").T
+
+
 def state_space_kernel(structure: StateSpace, levels: bool, initial: bool, weighted: bool = False) -> Kernel:
     """The predictor of an innovations model, with its initial state (zero where it is not unknown)."""
     from estimators.pem.predictors.state_kernels import fold, run
@@ -103,12 +112,12 @@ def state_space_kernel(structure: StateSpace, levels: bool, initial: bool, weigh
         return e, jacobian if with_jacobian else None
 
     def sums(data: NDArray, lengths: NDArray, parameters: NDArray, weight: NDArray) -> Sums:
-        rows, ends = [], np.cumsum(lengths)
+        rows, ends, root = [], np.cumsum(lengths), _root(weight)
         for start, end, p in zip(ends - lengths, ends, parameters, strict=True):
             part = data[start:end]
             weights = np.ascontiguousarray(part[:, -ny:] if weighted else part[:0, -ny:])
             matrices, starts = begun(p)
-            rows.append(fold(np.ascontiguousarray(part), starts, matrices, entries, weight, weights))
+            rows.append(fold(np.ascontiguousarray(part), starts, matrices, entries, root, weights))
         return Sums(*(np.array(part) for part in zip(*rows, strict=True)))
 
     return Kernel(sums, trace, n)

@@ -20,24 +20,28 @@ def _added(to, scale, what):
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, cache=True)
-def _product(x, y):
-    total = 0.0
-    for t in range(len(x)):
-        total += x[t] * y[t]
-    return total
-
-
-@njit(error_model="numpy", cache=True)
-def _turned(rows, weight, N, found):
-    """Every sample's outputs multiplied by the weight."""
-    ny = len(weight)
-    for k in range(len(rows)):
-        for t in range(N):
-            for i in range(ny):
-                total = 0.0
-                for j in range(ny):
-                    total += weight[i, j] * rows[k, t * ny + j]
-                found[k, t * ny + i] = total
+def _products(x, length, found):
+    """Adds the products x x' to the lower half: four by two rows at a time, so that what is read is multiplied more than once."""
+    P = len(x)
+    for k in range(0, P, 2):
+        a, b = x[k, :length], x[min(k + 1, P - 1), :length]
+        for m in range(0, k + 2, 4):
+            p, q, r, s = x[m], x[min(m + 1, P - 1)], x[min(m + 2, P - 1)], x[min(m + 3, P - 1)]
+            ap = aq = ar = a_s = bp = bq = br = bs = 0.0
+            for t in range(length):
+                ap += a[t] * p[t]
+                aq += a[t] * q[t]
+                ar += a[t] * r[t]
+                a_s += a[t] * s[t]
+                bp += b[t] * p[t]
+                bq += b[t] * q[t]
+                br += b[t] * r[t]
+                bs += b[t] * s[t]
+            for j, one, two in ((0, ap, bp), (1, aq, bq), (2, ar, br), (3, a_s, bs)):
+                if m + j <= k:
+                    found[k, m + j] += one
+                if m + j <= k + 1 and k + 1 < P:
+                    found[k + 1, m + j] += two
 
 
 @njit(error_model="numpy", cache=True)
@@ -89,19 +93,14 @@ def run(data, state, slope, matrices, entries, e, jacobian):
 
 
 @njit(error_model="numpy", cache=True)
-def fold(data, starts, matrices, entries, weight, weights):
+def fold(data, starts, matrices, entries, root, weights):
     """Of one record: loss, half its gradient (P,), Gauss-Newton matrix (P, P), moment of the residuals (ny,
-    ny); data (N, nd), starts (n,) and (n, P), weight (ny, ny), weights (N, ny), or (0, ny) for none."""
+    ny); data (N, nd), starts (n,) and (n, P), root (ny, ny) lower, the weight is root root'; weights (N, ny), or (0, ny) for none."""
     state, slope = starts[0].copy(), starts[1].copy()
-    ny, P = len(weight), slope.shape[1]
-    e, J = np.empty((BLOCK, ny)), np.empty((BLOCK, ny, P))
-    flat, heavy, rows, turned = (
-        np.empty((1, BLOCK * ny)),
-        np.empty((1, BLOCK * ny)),
-        np.empty((P, BLOCK * ny)),
-        np.empty((P, BLOCK * ny)),
-    )
-    loss, gradient, hessian, moment = 0.0, np.zeros(P), np.zeros((P, P)), np.zeros((ny, ny))
+    ny, P = len(root), slope.shape[1]
+    e, J, heavy = np.empty((BLOCK, ny)), np.empty((BLOCK, ny, P)), np.empty(P + 1)
+    rows, total = np.empty((P + 1, BLOCK * ny)), np.zeros((P + 1, P + 1))
+    moment = np.zeros((ny, ny))
     for start in range(0, len(data), BLOCK):
         N = min(BLOCK, len(data) - start)
         run(data[start : start + N], state, slope, matrices, entries, e[:N], J[:N])
@@ -109,22 +108,22 @@ def fold(data, starts, matrices, entries, weight, weights):
             for i in range(ny):
                 if len(weights):
                     e[t, i] *= weights[start + t, i]
-                    J[t, i] *= weights[start + t, i]
-                flat[0, t * ny + i] = e[t, i]
-                for k in range(P):
-                    rows[k, t * ny + i] = J[t, i, k]
+                    for k in range(P):
+                        J[t, i, k] *= weights[start + t, i]
             for i in range(ny):
-                for j in range(ny):
-                    moment[i, j] += e[t, i] * e[t, j]
-        _turned(flat, weight, N, heavy)
-        _turned(rows, weight, N, turned)
-        loss += _product(flat[0, : N * ny], heavy[0, : N * ny])
-        for k in range(P):
-            row = turned[k, : N * ny]
-            gradient[k] += _product(row, flat[0, : N * ny])
-            for m in range(k + 1):
-                hessian[k, m] += _product(row, rows[m, : N * ny])
+                heavy[:] = 0.0
+                for j in range(i, ny):
+                    _added(heavy[:P], root[j, i], J[t, j])
+                    heavy[P] += root[j, i] * e[t, j]
+                    moment[j, i] += e[t, j] * e[t, i]
+                for k in range(P + 1):
+                    rows[k, t * ny + i] = heavy[k]
+        _products(rows, N * ny, total)
+    for i in range(ny):
+        for j in range(i):
+            moment[j, i] = moment[i, j]
+    hessian = np.empty((P, P))
     for k in range(P):
-        for m in range(k):
-            hessian[m, k] = hessian[k, m]
-    return loss, gradient, hessian, moment
+        for m in range(k + 1):
+            hessian[k, m] = hessian[m, k] = total[k, m]
+    return total[P, P], total[P, :P].copy(), hessian, moment

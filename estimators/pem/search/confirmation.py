@@ -16,10 +16,10 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.pem.search.levenberg_marquardt import Optimum, units
+from estimators.pem.search.levenberg_marquardt import SINGULAR, Optimum, Point, units
 from estimators.pem.search.problem import Problem
 from estimators.pem.search.starts import lagged_gram, low_order_fits
-from oed.errors import Status
+from oed.models.model import StateSpace
 
 LAGS = 20
 """Of the residual and of each input."""
@@ -70,7 +70,7 @@ def first_start(problem: Problem) -> NDArray[np.float64] | None:
 
 def _long_enough(problem: Problem) -> bool:
     """Whether the records hold enough samples for the test of what is left."""
-    channels = problem.data.shape[1] - 1  # all but the pulse
+    channels = _once(problem).size + problem.structure.n_outputs
     return problem.n_samples >= 10 * LAGS * channels and min(problem.lengths) >= 3 * LAGS
 
 
@@ -78,28 +78,67 @@ def standing(problem: Problem, optimum: Optimum) -> Standing:
     """What is known of an optimum of one output, whose noise model is free of A."""
     point, form = optimum.point, problem.structure
     free = problem.lower is None and problem.prior_precision is None and not problem.variant
-    # Where the order is too high the search may wander along a valley to its limit of steps: that must not hide it.
-    ended = optimum.status.ok or optimum.status is Status.MAX_ITERATIONS
-    if not ended or form.na[0] or not free or not _long_enough(problem):
+    if form.na[0] or not free or not _long_enough(problem):
         return Standing.OPEN
-    scale = units(point.hessian)
-    try:
-        spread = np.linalg.inv(point.hessian * np.outer(scale, scale)) * np.outer(scale, scale)
-    except np.linalg.LinAlgError:
+    if not nothing_left(problem, point):
         return Standing.OPEN
-    place = form.places()[0]
-    pairs = [(place["b"][j], place["f"][j], False) for j in range(form.n_inputs) if form.nb[0, j]]
-    if form.nc[0] and form.nd[0]:
-        pairs.append((place["c"][0], place["d"][0], True))
-    spread = spread * (point.loss / problem.n_samples)
-    told = [_told(point.z, spread, *pair) for pair in pairs]
-    if not _nothing_left(problem, optimum):
-        return Standing.OPEN
+    # Where the order is too high the search may end at its limit of steps, or where nothing determines the parameters: a residual
+    # in which nothing is left tells as much there.
+    told = _modes(problem, spread(problem, point), point.z)
     if any(COMMON < t <= RADIUS for t in told):
         return Standing.UNTOLD
     if min(told, default=np.inf) <= COMMON:
         return Standing.OVER_ORDERED
     return Standing.OPEN if form.nc[0] or form.nd[0] or not optimum.status.ok else Standing.CONFIRMED
+
+
+def over_ordered(problem: Problem, point: Point) -> bool:
+    """Whether nothing is left in the residuals of a model of several outputs, and it has a mode that the data do not tell from
+    nothing. Any steps further go along the valley of where that mode fits the noise."""
+    free = problem.lower is None and problem.prior_precision is None and not problem.variant
+    if not free or not _long_enough(problem):
+        return False
+    told = min(_modes(problem, spread(problem, point), point.z), default=np.inf)
+    return bool(told <= COMMON) and nothing_left(problem, point)
+
+
+def spread(problem: Problem, point: Point) -> NDArray[np.float64]:
+    """Covariance of the scaled parameters, (n, n), all but infinite along what nothing determines."""
+    scale = units(point.hessian)
+    values, vectors = np.linalg.eigh(point.hessian * np.outer(scale, scale))
+    inverse = (vectors / np.maximum(values, SINGULAR * values[-1])) @ vectors.T
+    variance = point.loss / (problem.n_samples * problem.structure.n_outputs)
+    return inverse * np.outer(scale, scale) * variance
+
+
+def _modes(problem: Problem, covariance: NDArray, z: NDArray) -> list[float]:
+    """How many standard errors the modes are from nothing: of a state-space model each, of polynomials each pair of them."""
+    form = problem.structure
+    if isinstance(form, StateSpace):
+        return _controlled(form, z, covariance)
+    told = []
+    for i, place in enumerate(form.places()):
+        pairs = [(place["b"][j], place["f"][j], False) for j in range(form.n_inputs) if form.nb[i, j]]
+        if form.nc[i] and form.nd[i]:
+            pairs.append((place["c"][0], place["d"][0], True))
+        told += [_told(z, covariance, *pair) for pair in pairs]
+    return told
+
+
+def _controlled(form: StateSpace, z: NDArray, covariance: NDArray) -> list[float]:
+    """How many standard errors each eigenvalue of A is from a mode that neither inputs nor noise reach: the smallest singular value
+    of [A - lambda, B, K] is zero there (Popov, Belevitch, Hautus); its change with a coefficient, to first order, is that of u* S v."""
+    m, found = form.matrices(z[: form.n]), []
+    for pole in np.linalg.eigvals(m["A"]):
+        left, singular, right = np.linalg.svd(np.hstack([m["A"] - pole * np.eye(form.order), m["B"], m["K"]]))
+        u, v = left[:, -1].conj(), right[form.order - 1].conj()
+        at = {"A": 0, "B": form.order, "K": form.order + form.n_inputs}
+        slope = np.zeros(len(z))
+        for k, (letter, i, j) in enumerate(form.entries()):
+            slope[k] = (u[i] * v[at[letter] + j]).real if letter in at else 0.0
+        variance = float(slope @ covariance @ slope)
+        found.append(float(singular[-1]) / np.sqrt(variance) if variance > 0 else np.inf)
+    return found
 
 
 def confirmed(problem: Problem, optimum: Optimum) -> bool:
@@ -135,21 +174,34 @@ def _told(z: NDArray, spread: NDArray, top: slice, bottom: slice, monic: bool) -
     return float(singular[-1] / np.sqrt(variance)) if variance > 0 else 0.0
 
 
-def _nothing_left(problem: Problem, optimum: Optimum) -> bool:
-    e = problem.residuals(optimum.point)
-    channels = [
-        np.column_stack([r / problem.output_scale, c[:, 1:]])
-        for r, c in zip(e, _channels(problem), strict=True)
-    ]
+def nothing_left(problem: Problem, point: Point) -> bool:
+    """Whether the residuals, made independent of each other at one time, tell nothing of themselves and are told nothing by the inputs."""
+    ny = problem.structure.n_outputs
+    e = [r / problem.output_scale for r in problem.residuals(point)]
+    moment = sum((r.T @ r for r in e), np.zeros((ny, ny)))
+    try:
+        root = np.linalg.inv(np.linalg.cholesky(moment)).T
+    except np.linalg.LinAlgError:
+        return False
+    once = _once(problem)
+    channels = [np.column_stack([r @ root, d[:, once]]) for r, d in zip(e, problem.records(), strict=True)]
     gram = lagged_gram(channels, LAGS + 1)
     width = len(gram)
     flat = gram.reshape(width * (LAGS + 1), -1)
-    index = np.r_[1 : LAGS + 1, LAGS + 1 : width * (LAGS + 1)]
-    normal, right = flat[np.ix_(index, index)], flat[index, 0]
+    now = np.arange(ny) * (LAGS + 1)
+    index = np.setdiff1d(np.arange(len(flat)), now)
+    normal, right = flat[np.ix_(index, index)], flat[np.ix_(index, now)]
     size = np.sqrt(np.maximum(np.diag(normal), np.finfo(float).tiny))
     try:
-        step = np.linalg.solve(normal / np.outer(size, size), right / size)
+        step = np.linalg.solve(normal / np.outer(size, size), right / size[:, None])
     except np.linalg.LinAlgError:
         return False
-    explained = problem.n_samples * float(step @ (right / size)) / float(gram[0, 0, 0, 0])
-    return bool(explained < len(index) + SPREAD * np.sqrt(2 * len(index)))
+    explained = problem.n_samples * float(np.sum(step * (right / size[:, None]) / flat[now, now]))
+    count = len(index) * ny
+    return bool(explained < count + SPREAD * np.sqrt(2 * count))
+
+
+def _once(problem: Problem) -> NDArray[np.int64]:
+    """The columns of the inputs, delayed, each once: in several outputs they come again."""
+    width = problem.data.shape[1] - 1 - problem.structure.n_outputs
+    return np.sort(np.unique(problem.data[:, :width], axis=1, return_index=True)[1])

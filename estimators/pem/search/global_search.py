@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.pem.search.confirmation import LAGS, Standing, confirmed, first_start, standing
+from estimators.pem.search.confirmation import LAGS, Standing, confirmed, first_start, nothing_left, standing
 from estimators.pem.search.extras import Settings
 from estimators.pem.search.levenberg_marquardt import Optimum, Point, determined
 from estimators.pem.search.moving_modes import drawn, integrating, relocations
-from estimators.pem.search.problem import Problem
+from estimators.pem.search.problem import APART, Problem, determining
 from estimators.pem.search.starts import (
     arma_start,
     armax_start,
@@ -35,6 +35,26 @@ DRAWS = 12
 
 
 def best_optimum(problem: Problem, own: NDArray | None, how: Settings) -> Optimum:
+    """The lowest of the optima that the starts lead to, and the lowest that the data determine where the order is too high."""
+    best = _lowest(problem, own, how)
+    if own is not None or determined(best.point.hessian):
+        return best
+    # A mode too many may end where it is a level and an initial state too: models that do as well stand beside it.
+    points = [
+        p for p in problem.points(candidates(problem, first_start(problem))) if determined(p.hessian, APART)
+    ]
+    ends = [
+        problem.descend(
+            point, max_iterations=how.max_iterations, tolerance=how.tolerance,
+            evaluate=determining(problem.evaluate, point),
+        )
+        for point in points
+    ]  # fmt: skip
+    ends = [end for end in ends if nothing_left(problem, end.point)]
+    return min(ends, key=lambda end: end.point.loss, default=best)
+
+
+def _lowest(problem: Problem, own: NDArray | None, how: Settings) -> Optimum:
     """The lowest of the optima that the starts lead to."""
     max_iterations, tolerance, search = how.max_iterations, how.tolerance, how.search
     first = begun = None

@@ -1,44 +1,64 @@
-"""All outputs fitted together, weighted by the inverse of their residual covariance."""
+"""All outputs fitted together: the determinant of their residuals' second moment, the Gaussian likelihood, as one sum of squares.
+
+With M the moment of the residuals, N ny det(M)^(1/ny) is the sum of e' W e for the weight W = M^-1 det(M)^(1/ny), and its gradient is
+that of this sum with W held. So the search of one output finds its optimum too, with one damping and one secant correction all the
+way; weights that are held for a few steps and then found anew forget both at every change."""
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimators.pem.search.confirmation import over_ordered
 from estimators.pem.search.extras import Settings
-from estimators.pem.search.levenberg_marquardt import FLAT, NEGLIGIBLE, Optimum, determined
-from estimators.pem.search.problem import Problem
-from oed.errors import InputError, Status
+from estimators.pem.search.levenberg_marquardt import Optimum, Point
+from estimators.pem.search.problem import Evaluation, Problem, determining
+from oed.errors import InputError
 
-ROUNDS = 4
-"""Rounds of new weights over which the determinant has to fall, as the loss has to in a search of one output."""
+UNTOLD = 0.25
+"""Fall of -2 log likelihood over some steps that no data tell: half a standard error, all parameters together."""
+FLOOR = 1e-12
+"""Of the moment's mean eigenvalue, added to it: outputs without noise have a moment that is singular."""
+
+
+def determinant(problem: Problem) -> Evaluation:
+    """The determinant as the loss of a problem: the weight follows the residuals' moment."""
+
+    def evaluate(z: NDArray, initial: NDArray | None) -> Point | None:
+        moment = problem.moment(z, initial)
+        if moment is None:
+            return None
+        inverse, size = _inverse(moment)
+        return problem.replace(weight=inverse * size).evaluate(z, initial)
+
+    return evaluate
+
+
+def _inverse(moment: NDArray) -> tuple[NDArray, float]:
+    """The inverse of a moment and the geometric mean of its eigenvalues."""
+    ny = len(moment)
+    moment = moment + FLOOR * np.trace(moment) / ny * np.eye(ny)
+    return np.linalg.inv(moment), float(np.exp(np.linalg.slogdet(moment)[1] / ny))
 
 
 def fit_together(problem: Problem, z: NDArray, iterations: int, how: Settings) -> tuple[Problem, Optimum]:
-    """All outputs together, weighted by the inverse of their residual covariance until that settles."""
-    ny = problem.structure.n_outputs
-    point = problem.evaluate(z)
-    if point is None:
+    """All outputs together, from where each alone has its optimum."""
+    start = problem.evaluate(z)
+    if start is None:
         raise InputError("the loss is not finite at the single outputs' optima; this should not happen.")
-    optimum = Optimum(point, Status.MAX_ITERATIONS, iterations, np.inf)
-    sizes: list[float] = []
-    for _ in range(max(how.max_iterations, 1)):
-        covariance = point.extra[1]
-        sizes.append(float(np.linalg.slogdet(covariance)[1]))
-        if len(sizes) > ROUNDS and sizes[-1] > sizes[-1 - ROUNDS] - NEGLIGIBLE:
-            status = Status.CONVERGED if optimum.decrement < FLAT else Status.INACCURATE
-            optimum = Optimum(point, status, iterations, optimum.decrement)
-            break
-        floor = 1e-12 * np.trace(covariance) / ny * np.eye(ny)
-        problem = problem.replace(weight=np.linalg.inv(covariance + floor))
-        before = problem.evaluate(point.z, point.extra[0])
-        if before is None:
-            break
-        further = problem.descend(before, max_iterations=4, tolerance=how.tolerance)
-        if determined(before.hessian) and not determined(further.point.hessian):
-            break  # into a valley of orders too high, where nothing determines the parameters
-        optimum = further
-        iterations += optimum.iterations
-        moved = optimum.point.z - before.z
-        point = optimum.point
-        if optimum.status is Status.CONVERGED and float(moved @ point.hessian @ moved) < 1e-10:
-            break
-    return problem, Optimum(point, optimum.status, iterations, optimum.decrement)
+    evaluate = determinant(problem)
+    point = evaluate(z, start.extra[0])
+    if point is None:
+        raise InputError(
+            "the residuals are not finite at the single outputs' optima; this should not happen."
+        )
+    told = problem.n_samples * problem.structure.n_outputs
+
+    def enough(at: Point, fallen: float) -> bool:
+        return fallen * told < UNTOLD and over_ordered(problem, at)
+
+    found = problem.descend(
+        point, max_iterations=how.max_iterations, tolerance=how.tolerance, enough=enough,
+        evaluate=determining(evaluate, point),
+    )  # fmt: skip
+    problem = problem.replace(weight=_inverse(found.point.extra[1])[0])
+    end = problem.evaluate(found.point.z, found.point.extra[0]) or found.point
+    return problem, Optimum(end, found.status, iterations + found.iterations, found.decrement)

@@ -56,11 +56,11 @@ def units(hessian: NDArray) -> NDArray[np.float64]:
     return 1 / np.sqrt(np.maximum(diagonal, max(1e-14 * diagonal.max(), np.finfo(float).tiny)))
 
 
-def determined(hessian: NDArray) -> bool:
+def determined(hessian: NDArray, least: float = SINGULAR) -> bool:
     """Whether a Gauss-Newton matrix (n, n) is positive definite as far as rounding tells: every parameter has an error."""
     scale = units(hessian)
     values = np.linalg.eigvalsh(hessian * np.outer(scale, scale))
-    return bool(values[0] > SINGULAR * values[-1])
+    return bool(values[0] > least * values[-1])
 
 
 def _solve(hessian: NDArray, damping: float, gradient: NDArray, scale: NDArray) -> NDArray | None:
@@ -108,13 +108,28 @@ def _along(normals: NDArray, point: Point, moves: NDArray) -> NDArray:
     return right[int(np.sum(singular > 1e-9 * singular[0])) :].T
 
 
+def _settled(
+    losses: list[float], point: Point, decrement: float, enough: Callable[[Point, float], bool] | None
+) -> bool:
+    """Whether a search that still promises something has come to where going on means nothing: losses of the points so far, the last
+    of which is this one."""
+    steps = len(losses) - 1
+    if steps < WINDOW:
+        return False
+    before = losses[-1 - WINDOW]
+    if before * (1 - NEGLIGIBLE) <= point.loss and decrement < FLAT:
+        return True
+    return enough is not None and steps % WINDOW == 0 and enough(point, before / max(point.loss, 1e-300) - 1)
+
+
 def minimise(
     evaluate: Callable[[NDArray, Any], Point | None], start: Point, *, tolerance: float = 1e-16,
     max_iterations: int = 100, free: NDArray | None = None, project: Callable[[NDArray], NDArray] | None = None,
     clip: Callable[[NDArray], NDArray] | None = None, walls: Callable[[NDArray], NDArray] | None = None,
-    bounds: tuple[NDArray, NDArray] | None = None,
+    bounds: tuple[NDArray, NDArray] | None = None, enough: Callable[[Point, float], bool] | None = None,
 ) -> Optimum:  # fmt: skip
-    """Minimise a sum of squares from a point: evaluate (z, extra), free (n,)."""
+    """Minimise a sum of squares from a point: evaluate (z, extra), free (n,); enough (point, share by which the loss has fallen over
+    WINDOW steps) -> whether to end there, asked once in as many steps."""
     point, damping = start, 0.0
     allowed = np.ones(len(start.z), bool) if free is None else np.asarray(free)
     S, corrected = np.zeros((len(start.z), len(start.z))), False
@@ -137,8 +152,7 @@ def minimise(
         newton = _solve(hessian, 1e-14, gradient, scale)
         newton = _solve(hessian, 1e-9, gradient, scale) if newton is None else newton
         decrement = np.inf if newton is None else float(-gradient @ newton) / max(point.loss, 1e-300)
-        slow = iteration >= WINDOW and losses[-1 - WINDOW] * (1 - NEGLIGIBLE) <= point.loss
-        if decrement <= tolerance or (slow and decrement < FLAT):
+        if decrement <= tolerance or _settled(losses, point, decrement, enough):
             return Optimum(point, Status.CONVERGED, iteration, decrement)
         inner = newton if not corrected and damping == 0 else None
         while inner is None and damping <= 1e12:

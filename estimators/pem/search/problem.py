@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,9 +19,20 @@ from estimators.pem.predictors.of_structure import (
     samples,
     walls,
 )
-from estimators.pem.search.levenberg_marquardt import Optimum, Point, minimise
+from estimators.pem.search.levenberg_marquardt import Optimum, Point, determined, minimise
 from oed.data import Record
 from oed.models.model import StateSpace
+
+TOLD = 1e-8
+"""Least eigenvalue of the initial states' products, over the largest, that is taken off the information of the parameters: below, it
+has less than half its digits, and what it takes off is rounding. Paths from several inputs with poles alike have such states."""
+
+APART = 1e-12
+"""From singular information a search keeps this far, as a share: what rounding leaves of it where initial states are eliminated too."""
+
+
+Evaluation = Callable[[NDArray, Any], Point | None]
+"""(z, initial states) -> the loss there; None where it is not finite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,16 +88,17 @@ class Problem:
         return [p for z in zs if (p := self.evaluate(self.projected(z))) is not None]
 
     def descend(
-        self, point: Point, *, max_iterations: int, tolerance: float, free: NDArray | None = None
-    ) -> Optimum:
-        """Minimise from a point, within the bounds: free (n,)."""
+        self, point: Point, *, max_iterations: int, tolerance: float, free: NDArray | None = None,
+        enough: Callable[[Point, float], bool] | None = None, evaluate: Evaluation | None = None,
+    ) -> Optimum:  # fmt: skip
+        """Minimise from a point, within the bounds, this problem's loss or another one of its parameters: free (n,)."""
         bounds = None
         if self.lower is not None and self.upper is not None:
             bounds = self.lower, self.upper
         return minimise(
-            self.evaluate, point, project=self.projected, clip=lambda z: self.projected(z, mirror=False),
+            evaluate or self.evaluate, point, project=self.projected, clip=lambda z: self.projected(z, mirror=False),
             walls=lambda z: walls(self.structure, z), max_iterations=max_iterations,
-            tolerance=tolerance, free=free, bounds=bounds,
+            tolerance=tolerance, free=free, bounds=bounds, enough=enough,
         )  # fmt: skip
 
     def with_weights(self, weights: NDArray) -> Problem:
@@ -123,13 +135,13 @@ class Problem:
         follow: Any = lambda d: None
         loss = float(sums.loss.sum())
         if m:
-            inverse = _inverse(sums.hessian[:, n:, n:])
+            inverse, told = _inverses(sums.hessian[:, n:, n:])
             pull = np.einsum("rij,rj->ri", inverse, sums.gradient[:, n:])
             loss -= float(np.vdot(pull, sums.gradient[:, n:])) if affine else 0.0
             cross = inverse @ sums.hessian[:, n:, :n]
             back = np.swapaxes(sums.hessian[:, n:, :n], 1, 2)
             gradient = gradient[:n] - np.einsum("rij,rj->i", back, pull)
-            hessian = hessian[:n, :n] - (back @ cross).sum(axis=0)
+            hessian = hessian[:n, :n] - (back @ told @ sums.hessian[:, n:, :n]).sum(axis=0)
             states = initial
             follow = lambda d: states - pull - cross @ d
         if sums.log_variance is not None:
@@ -162,7 +174,7 @@ class Problem:
         sums = self._sums(z, np.zeros((len(self.lengths), self.n_initial)))
         if not np.isfinite(sums.hessian).all():
             return None
-        inverse = _inverse(sums.hessian[:, n:, n:])
+        inverse, _ = _inverses(sums.hessian[:, n:, n:])
         return -np.einsum("rij,rj->ri", inverse, sums.gradient[:, n:])
 
     def records(self) -> list[NDArray[np.float64]]:
@@ -207,12 +219,44 @@ class Problem:
         """The same problem with some attributes changed."""
         return Problem(**({name: getattr(self, name) for name in self.__dataclass_fields__} | changes))
 
+    def moment(self, z: NDArray, initial: NDArray | None) -> NDArray[np.float64] | None:
+        """Second moment of the residuals in scaled units; None where the predictor is unstable: initial (R, m) -> (ny, ny)."""
+        if not predictor_is_stable(self.structure, z[: self.structure.n]):
+            return None
+        states = np.zeros((len(self.lengths), 0)) if initial is None else initial
+        found = np.concatenate([
+            self.kernel.trace(data, np.concatenate([z, x]), False)[0] for data, x in zip(self.records(), states, strict=True)
+        ])  # fmt: skip
+        moment = found.T @ found / self.n_observed
+        return moment if np.isfinite(moment).all() else None
 
-def _inverse(hessian: NDArray) -> NDArray[np.float64]:
-    """Pseudoinverse of symmetric matrices (R, m, m); numpy's takes thrice as long for small ones."""
-    values, vectors = np.linalg.eigh(hessian)
-    kept = np.abs(values) > 1e-12 * np.abs(values).max(axis=1, keepdims=True)
-    return (vectors * np.where(kept, 1 / np.where(kept, values, 1.0), 0.0)[:, None, :]) @ vectors.mT
+
+def determining(evaluate: Evaluation, point: Point) -> Evaluation:
+    """The same loss where something determines every parameter, so that a step to where nothing does is none; as it is, where nothing
+    determines them at the point already."""
+    if not determined(point.hessian, APART):
+        return evaluate
+
+    def where_determined(z: NDArray, extra: Any) -> Point | None:
+        there = evaluate(z, extra)
+        return there if there is not None and determined(there.hessian, APART) else None
+
+    return where_determined
+
+
+def _inverses(hessian: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Pseudoinverse of symmetric matrices (R, m, m) in units in which their diagonals are 1, and that of what is told of them;
+    numpy's takes thrice as long for small ones."""
+    size = np.sqrt(np.maximum(np.diagonal(hessian, axis1=1, axis2=2), np.finfo(float).tiny))
+    over = 1 / (size[:, :, None] * size[:, None, :])
+    values, vectors = np.linalg.eigh(hessian * over)
+    share = np.abs(values) / np.abs(values).max(axis=1, keepdims=True)
+    turned = vectors.mT
+    whole, told = (
+        (vectors * np.where(kept, 1 / np.where(kept, values, 1.0), 0.0)[:, None, :]) @ turned * over
+        for kept in (share > 1e-12, share > TOLD)
+    )
+    return whole, told
 
 
 def prepare(
