@@ -53,11 +53,23 @@ def polynomial_kernel(structure: Polynomial, levels: bool, initial: bool, weight
     entries = np.array([structure.nb, structure.nf, paths])
     copies = _copies(structure, levels, paths, noise)
     n = structure.n + ny * levels + sum(map(sum, paths)) + sum(noise)
+    present = int((structure.nb > 0).sum())
+    places = structure.n, structure.n + ny * levels, present, present + ny, int(levels)
 
     def trace(data: NDArray, parameters: NDArray, with_jacobian: bool) -> tuple[NDArray, NDArray | None]:
-        found = np.empty((len(copies), len(data)))
-        e = signals(np.ascontiguousarray(data.T), parameters, orders, entries, levels, found).T
-        e = np.ascontiguousarray(e * data[:, -ny:] if weighted else e)
+        found, e = np.empty((len(copies), len(data))), np.empty((ny, len(data)))
+        signals(
+            np.ascontiguousarray(data.T),
+            0,
+            len(data),
+            np.array(parameters),
+            orders,
+            entries,
+            places,
+            found,
+            e,
+        )
+        e = np.ascontiguousarray(e.T * data[:, -ny:] if weighted else e.T)
         if not with_jacobian:
             return e, None
         jacobian = np.zeros((len(data), ny, n))
@@ -67,8 +79,9 @@ def polynomial_kernel(structure: Polynomial, levels: bool, initial: bool, weight
         return e, jacobian * data[:, -ny:, None] if weighted else jacobian
 
     def sums(data: NDArray, lengths: NDArray, parameters: NDArray, weight: NDArray) -> Sums:
-        given = np.ascontiguousarray(data.T), lengths, np.ascontiguousarray(parameters)
-        return Sums(*fold(*given, weight, orders, entries, levels, copies))
+        # Copies, which can be written: numba compiles anew for arrays that cannot.
+        given = np.array(data.T, order="C"), np.append(0, np.cumsum(lengths)), np.array(parameters, order="C")
+        return Sums(*fold(*given, weight, orders, entries, places, copies))
 
     # weights of single samples leave no shift structure: the sensitivities are multiplied out
     by_trace = summed(lambda data, parameters: trace(data, parameters, True))  # pyright: ignore[reportArgumentType]

@@ -20,108 +20,112 @@ CUT = 1e-30
 
 
 @njit(error_model="numpy", cache=True)
-def _multiply(x, tail, lead):
-    """(lead + tail_1 q^-1 + ...) x."""
-    out = lead * x
-    for k in range(len(tail)):
+def _multiply(x, p, first, count, lead, out):
+    """(lead + p_first q^-1 + ...) x."""
+    for t in range(len(x)):
+        out[t] = lead * x[t]
+    for k in range(count):
         for t in range(k + 1, len(x)):
-            out[t] += tail[k] * x[t - k - 1]
-    return out
+            out[t] += p[first + k] * x[t - k - 1]
 
 
 @njit(error_model="numpy", cache=True)
-def _divide(x, tail):
-    """x / (1 + tail_1 q^-1 + ...), in its place."""
-    n = len(tail)
-    if n in (1, 2):
+def _divide(x, p, first, count):
+    """x / (1 + p_first q^-1 + ...), in its place."""
+    if count in (1, 2):
         last = before = 0.0
-        first, second = tail[0], tail[1] if n == 2 else 0.0
+        one, two = p[first], p[first + 1] if count == 2 else 0.0
         for t in range(len(x)):
-            now = (x[t] - second * before) - first * last
+            now = (x[t] - two * before) - one * last
             now = 0.0 if abs(now) < TINY else now
             before, last = last, now
             x[t] = now
-    elif n:
-        state = np.zeros(n + 1)
+    elif count:
+        state = np.zeros(count + 1)
         for t in range(len(x)):
             now = x[t] + state[0]
             now = 0.0 if abs(now) < TINY else now
-            for k in range(n):
-                state[k] = state[k + 1] - tail[k] * now
+            for k in range(count):
+                state[k] = state[k + 1] - p[first + k] * now
             x[t] = now
-    return x
 
 
 @njit(error_model="numpy", cache=True)
-def _coefficients(p, first, sizes):
-    """Where each of several polynomials, one after the other, begins; the last entry is where they end."""
-    places = np.empty(len(sizes) + 1, np.int64)
-    places[0] = first
-    for j in range(len(sizes)):
-        places[j + 1] = places[j] + sizes[j]
-    return places
-
-
-@njit(error_model="numpy", cache=True)
-def signals(data, p, orders, entries, levels, found):
-    """Residuals (ny, N) of one record (nd, N), and into `found` (S, N) the filtered signals, row by row of
-    the model: orders (4, ny): na, nc, nd, pulses; entries (3, ny, nu): nb, nf, pulses."""
+def signals(data, begin, end, p, orders, entries, places, found, e):
+    """Residuals (ny, N) of the samples from begin to end of (nd, samples), and into `found` (S, N) the filtered signals, row by row of
+    the model: orders (4, ny): na, nc, nd, pulses; entries (3, ny, nu): nb, nf, pulses; places: where the levels begin among the
+    parameters, where the pulses do, the outputs' rows, the pulse's, and whether there are levels."""
     ny, nu = entries.shape[1:]
-    N = data.shape[1]
-    present = (entries[0] > 0).sum()
-    at = orders[:3].sum() + entries[:2].sum() + ny * levels
-    e, pulse = np.empty((ny, N)), data[present + ny]
+    N = end - begin
+    level, at, first_output, pulse_row, levels = places
+    y, v, w, moved = np.empty(N), np.empty(N), np.empty(N), np.empty(N)
+    pulse = data[pulse_row, begin:end]
     column = s = first = 0
     for i in range(ny):
-        na, nc, nd, noise = orders[:, i]
-        a, bs = p[first : first + na], _coefficients(p, first + na, entries[0, i])
-        c = p[bs[nu] : bs[nu] + nc]
-        d = p[bs[nu] + nc : bs[nu] + nc + nd]
-        fs = _coefficients(p, bs[nu] + nc + nd, entries[1, i])
-        first = fs[nu]
-        y = data[present + i] - p[orders[:3].sum() + entries[:2].sum() + i] if levels else data[present + i]
-        v = _multiply(y, a, 1.0)
+        na, nc, nd, noise = orders[0, i], orders[1, i], orders[2, i], orders[3, i]
+        a, b = first, first + na
+        c = b
         for j in range(nu):
-            nb, nf, paths = entries[:, i, j]
+            c += entries[0, i, j]
+        d = c + nc
+        f = d + nd
+        for t in range(N):
+            y[t] = data[first_output + i, begin + t] - (p[level + i] if levels else 0.0)
+        _multiply(y, p, a, na, 1.0, v)
+        for j in range(nu):
+            nb, nf, paths = entries[0, i, j], entries[1, i, j], entries[2, i, j]
             if nb == 0:
+                f += nf
                 continue
-            b, f, u = p[bs[j] : bs[j + 1]], p[fs[j] : fs[j + 1]], data[column]
+            u = data[column, begin:end]
             column += 1
-            w = _multiply(u, b[1:], b[0])
+            _multiply(u, p, b + 1, nb - 1, p[b], w)
             for k in range(min(paths, N)):
                 w[k] += p[at + k]
             at += paths
-            w = _divide(w, f)
-            v -= w
-            found[s] = _divide(_divide(_multiply(u, d, 1.0), c), f)
-            s += 1
-            if nf:
-                found[s] = _divide(_divide(_multiply(w, d, 1.0), c), f)
-                s += 1
-            if paths:
-                found[s] = _divide(_divide(_multiply(pulse, d, 1.0), c), f)
-                s += 1
-        e[i] = _multiply(v, d, 1.0)
+            _divide(w, p, f, nf)
+            for t in range(N):
+                v[t] -= w[t]
+            for signal, wanted in ((u, 1), (w, nf), (pulse, paths)):
+                if wanted:
+                    _multiply(signal, p, d, nd, 1.0, found[s])
+                    _divide(found[s], p, c, nc)
+                    _divide(found[s], p, f, nf)
+                    s += 1
+            b += nb
+            f += nf
+        _multiply(v, p, d, nd, 1.0, e[i])
         for k in range(min(noise, N)):
             e[i, k] += p[at + k]
         at += noise
-        e[i] = _divide(e[i].copy(), c)
+        _divide(e[i], p, c, nc)
+        first = f
         if na:
-            found[s] = _divide(_multiply(y, d, 1.0), c)
+            _multiply(y, p, d, nd, 1.0, found[s])
+            _divide(found[s], p, c, nc)
             s += 1
         if nc:
-            found[s] = _divide(e[i].copy(), c)
+            for t in range(N):
+                found[s, t] = e[i, t]
+            _divide(found[s], p, c, nc)
             s += 1
         if nd:
-            found[s] = _divide(v, c)
+            for t in range(N):
+                found[s, t] = v[t]
+            _divide(found[s], p, c, nc)
             s += 1
         if levels:
-            found[s] = _divide(_multiply(_multiply(np.ones(N), a, 1.0), d, 1.0), c)
+            for t in range(N):
+                y[t] = 1.0
+            _multiply(y, p, a, na, 1.0, moved)
+            _multiply(moved, p, d, nd, 1.0, found[s])
+            _divide(found[s], p, c, nc)
             s += 1
         if noise:
-            found[s] = _divide(pulse.copy(), c)
+            for t in range(N):
+                found[s, t] = pulse[t]
+            _divide(found[s], p, c, nc)
             s += 1
-    return e
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, cache=True)
@@ -140,8 +144,10 @@ def _ends(found):
     """After how many samples each signal has died away."""
     ends = np.empty(len(found), np.int64)
     for s in range(len(found)):
-        t, least = found.shape[1], CUT * np.abs(found[s]).max()
-        while t > 0 and abs(found[s, t - 1]) <= least:
+        t, most = found.shape[1], 0.0
+        for k in range(t):
+            most = max(most, abs(found[s, k]))
+        while t > 0 and abs(found[s, t - 1]) <= CUT * most:
             t -= 1
         ends[s] = t
     return ends
@@ -153,10 +159,10 @@ def _gram(found, copies, weight, hessian):
     5): row of the model, first delay, number of delays, first column, sign."""
     N, ends = found.shape[1], _ends(found)
     for s in range(len(found)):
-        row, i0, ni, at, sign = copies[s]
+        row, i0, ni, at, sign = copies[s, 0], copies[s, 1], copies[s, 2], copies[s, 3], copies[s, 4]
         x = found[s]
         for r in range(s, len(found)):
-            other, j0, nj, to, turned = copies[r]
+            other, j0, nj, to, turned = copies[r, 0], copies[r, 1], copies[r, 2], copies[r, 3], copies[r, 4]
             scale = weight[row, other] * sign * turned
             if scale == 0.0:
                 continue
@@ -184,26 +190,24 @@ def _gram(found, copies, weight, hessian):
 
 
 @njit(error_model="numpy", cache=True)
-def fold(data, lengths, parameters, weight, orders, entries, levels, copies):
+def fold(data, begins, parameters, weight, orders, entries, places, copies):
     """Of each record: loss (R,), half its gradient (R, n), Gauss-Newton matrix (R, n, n), moment of the
-    residuals; data (nd, N) of all records, parameters (R, n), weight (ny, ny) -> (R, ny, ny) last."""
-    R, n, ny = len(lengths), parameters.shape[1], len(weight)
+    residuals; data (nd, N) of all records, begins (R + 1,), parameters (R, n), weight (ny, ny) -> (R, ny, ny) last."""
+    R, n, ny = len(parameters), parameters.shape[1], len(weight)
     loss, gradient = np.zeros(R), np.zeros((R, n))
     hessian, moment = np.zeros((R, n, n)), np.zeros((R, ny, ny))
-    start = 0
     for r in range(R):
-        N = lengths[r]
-        found = np.empty((len(copies), N))
-        e = signals(data[:, start : start + N], parameters[r], orders, entries, levels, found)
-        start += N
-        weighted = np.zeros((ny, N))
+        start, N = begins[r], begins[r + 1] - begins[r]
+        found, e, weighted = np.empty((len(copies), N)), np.empty((ny, N)), np.zeros((ny, N))
+        signals(data, start, start + N, parameters[r], orders, entries, places, found, e)
         for i in range(ny):
             for j in range(ny):
                 moment[r, i, j] = _product(e[max(i, j)], e[min(i, j)], 0, 0, N)
-                weighted[i] += weight[i, j] * e[j]
-        loss[r] = (weight * moment[r]).sum()
+                loss[r] += weight[i, j] * moment[r, i, j]
+                for t in range(N):
+                    weighted[i, t] += weight[i, j] * e[j, t]
         for s in range(len(copies)):
-            row, i0, ni, at, sign = copies[s]
+            row, i0, ni, at, sign = copies[s, 0], copies[s, 1], copies[s, 2], copies[s, 3], copies[s, 4]
             for k in range(min(ni, max(N - i0, 0))):
                 gradient[r, at + k] = sign * _product(found[s], weighted[row], i0 + k, 0, N)
         _gram(found, copies, weight, hessian[r])

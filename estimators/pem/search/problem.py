@@ -140,8 +140,9 @@ class Problem:
             loss -= float(np.vdot(pull, sums.gradient[:, n:])) if affine else 0.0
             cross = inverse @ sums.hessian[:, n:, :n]
             back = np.swapaxes(sums.hessian[:, n:, :n], 1, 2)
+            taken = cross if told is inverse else told @ sums.hessian[:, n:, :n]
             gradient = gradient[:n] - np.einsum("rij,rj->i", back, pull)
-            hessian = hessian[:n, :n] - (back @ told @ sums.hessian[:, n:, :n]).sum(axis=0)
+            hessian = hessian[:n, :n] - (back @ taken).sum(axis=0)
             states = initial
             follow = lambda d: states - pull - cross @ d
         if sums.log_variance is not None:
@@ -247,16 +248,19 @@ def determining(evaluate: Evaluation, point: Point) -> Evaluation:
 def _inverses(hessian: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Pseudoinverse of symmetric matrices (R, m, m) in units in which their diagonals are 1, and that of what is told of them;
     numpy's takes thrice as long for small ones."""
-    size = np.sqrt(np.maximum(np.diagonal(hessian, axis1=1, axis2=2), np.finfo(float).tiny))
-    over = 1 / (size[:, :, None] * size[:, None, :])
+    size = 1 / np.sqrt(np.maximum(hessian.diagonal(axis1=1, axis2=2), np.finfo(float).tiny))
+    over = size[:, :, None] * size[:, None, :]
     values, vectors = np.linalg.eigh(hessian * over)
-    share = np.abs(values) / np.abs(values).max(axis=1, keepdims=True)
-    turned = vectors.mT
-    whole, told = (
-        (vectors * np.where(kept, 1 / np.where(kept, values, 1.0), 0.0)[:, None, :]) @ turned * over
-        for kept in (share > 1e-12, share > TOLD)
-    )
-    return whole, told
+    share = np.abs(values)
+    share /= share.max(axis=1, keepdims=True)
+
+    def inverse(kept: NDArray) -> NDArray[np.float64]:
+        return (
+            (vectors * np.where(kept, 1 / np.where(kept, values, 1.0), 0.0)[:, None, :]) @ vectors.mT * over
+        )
+
+    whole = inverse(share > 1e-12)
+    return whole, whole if share.min() > TOLD else inverse(share > TOLD)
 
 
 def prepare(
