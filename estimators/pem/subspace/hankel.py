@@ -42,8 +42,8 @@ class Factor:
         begin, cut = np.cumsum([0, i * nu, i * nu, i * ny]), i - horizon
         parts = ((0, horizon * nu), (cut * nu, i * nu), (cut * ny, i * ny), (0, horizon * ny))
         at = np.concatenate([first + np.arange(*part) for first, part in zip(begin, parts, strict=True)])
-        if self.gram is not None and (R := _root(self.gram[at[:, None], at])) is not None:
-            return Factor(R, horizon, nu, ny)
+        if self.gram is not None and (R := _root(gram := self.gram[at[:, None], at])) is not None:
+            return Factor(R, horizon, nu, ny, gram)
         return Factor(_triangle(self.R[:, at]), horizon, nu, ny)
 
     def blocks(self) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray, NDArray]:

@@ -88,7 +88,9 @@ def range_of(factor: Factor, order: int, method: str, leading: bool = False) -> 
         unweight = (vectors * np.where(kept, root, 0.0)) @ vectors.T
     along = weight @ L32
     if method == "n4sid":
-        along = L32 @ np.linalg.pinv(L22, rcond=1e-11) @ np.hstack([L21, L22])
+        # L32 L22^-1 [L21, L22]: of the second block nothing is lost by taking L32 itself where the factor has its digits
+        known = factor.divided(L22, L32.T, transposed=True).T
+        along = np.hstack([known @ L21, known @ L22 if factor.gram is None else L32])
     left, singular, right = _decomposed(along, order if leading else len(along))
     if singular[order - 1] <= 1e-11 * singular[0]:
         shown = int(np.sum(singular > 1e-11 * singular[0]))
