@@ -51,6 +51,34 @@ def _divide(x, p, first, count):
 
 
 @njit(error_model="numpy", cache=True)
+def _divide_both(x, y, p, first, count):
+    """As `_divide` of two signals by one polynomial, which takes hardly longer than of one: each has to wait for its own last sample."""
+    if count in (1, 2):
+        last = before = past = older = 0.0
+        one, two = p[first], p[first + 1] if count == 2 else 0.0
+        for t in range(len(x)):
+            now = (x[t] - two * before) - one * last
+            then = (y[t] - two * older) - one * past
+            now = 0.0 if abs(now) < TINY else now
+            then = 0.0 if abs(then) < TINY else then
+            before, last, older, past = last, now, past, then
+            x[t] = now
+            y[t] = then
+    elif count:
+        state, other = np.zeros(count + 1), np.zeros(count + 1)
+        for t in range(len(x)):
+            now, then = x[t] + state[0], y[t] + other[0]
+            now = 0.0 if abs(now) < TINY else now
+            then = 0.0 if abs(then) < TINY else then
+            for k in range(count):
+                state[k] = state[k + 1] - p[first + k] * now
+            for k in range(count):
+                other[k] = other[k + 1] - p[first + k] * then
+            x[t] = now
+            y[t] = then
+
+
+@njit(error_model="numpy", cache=True)
 def signals(data, begin, end, p, orders, entries, places, found, e):
     """Residuals (ny, N) of the samples from begin to end of (nd, samples), and into `found` (S, N) the filtered signals, row by row of
     the model: orders (4, ny): na, nc, nd, pulses; entries (3, ny, nu): nb, nf, pulses; places: where the levels begin among the
@@ -83,49 +111,66 @@ def signals(data, begin, end, p, orders, entries, places, found, e):
             for k in range(min(paths, N)):
                 w[k] += p[at + k]
             at += paths
-            _divide(w, p, f, nf)
+            _multiply(u, p, d, nd, 1.0, found[s])
+            _divide(found[s], p, c, nc)
+            _divide_both(w, found[s], p, f, nf)
+            s += 1
             for t in range(N):
                 v[t] -= w[t]
-            for signal, wanted in ((u, 1), (w, nf), (pulse, paths)):
-                if wanted:
-                    _multiply(signal, p, d, nd, 1.0, found[s])
-                    _divide(found[s], p, c, nc)
-                    _divide(found[s], p, f, nf)
-                    s += 1
+            if nf:
+                _multiply(w, p, d, nd, 1.0, found[s])
+            if paths:  # of a path with poles alone
+                _multiply(pulse, p, d, nd, 1.0, found[s + 1])
+                _divide_both(found[s], found[s + 1], p, c, nc)
+                _divide_both(found[s], found[s + 1], p, f, nf)
+                s += 2
+            elif nf:
+                _divide(found[s], p, c, nc)
+                _divide(found[s], p, f, nf)
+                s += 1
             b += nb
             f += nf
         _multiply(v, p, d, nd, 1.0, e[i])
         for k in range(min(noise, N)):
             e[i, k] += p[at + k]
         at += noise
-        _divide(e[i], p, c, nc)
-        first = f
+        first, begun, apart = f, s, s + (na > 0) + (nc > 0)  # the signal of D goes along with the residuals
+        if nd:
+            for t in range(N):
+                found[apart, t] = v[t]
+            _divide_both(e[i], found[apart], p, c, nc)
+        else:
+            _divide(e[i], p, c, nc)
         if na:
             _multiply(y, p, d, nd, 1.0, found[s])
-            _divide(found[s], p, c, nc)
             s += 1
         if nc:
             for t in range(N):
                 found[s, t] = e[i, t]
-            _divide(found[s], p, c, nc)
             s += 1
         if nd:
-            for t in range(N):
-                found[s, t] = v[t]
-            _divide(found[s], p, c, nc)
             s += 1
         if levels:
             for t in range(N):
                 y[t] = 1.0
             _multiply(y, p, a, na, 1.0, moved)
             _multiply(moved, p, d, nd, 1.0, found[s])
-            _divide(found[s], p, c, nc)
             s += 1
         if noise:
             for t in range(N):
                 found[s, t] = pulse[t]
-            _divide(found[s], p, c, nc)
             s += 1
+        waiting = -1
+        for k in range(begun, s):
+            if nd and k == apart:
+                continue
+            if waiting < 0:
+                waiting = k
+            else:
+                _divide_both(found[waiting], found[k], p, c, nc)
+                waiting = -1
+        if waiting >= 0:
+            _divide(found[waiting], p, c, nc)
 
 
 @njit(error_model="numpy", fastmath={"reassoc", "contract"}, cache=True)
