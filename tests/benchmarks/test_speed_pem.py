@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.speed.pem import _case, against_scipy, against_sippy, memory, monte_carlo
+from benchmarks.speed.searches import _record, searched
 from estimators.pem import identify
 from estimators.pem.predictors.plain import plain_output_error
 
@@ -25,6 +26,14 @@ def test_rows_have_their_keys_and_the_same_optimum() -> None:
     row = monte_carlo(3, 500, jobs=1)
     assert row["seconds"] > 0
     assert float(row["note"].rsplit(" ", 1)[1]) == pytest.approx(1, abs=0.2)  # the noise variance
+
+
+def test_searches_have_a_row_with_their_limit_and_how_they_ended() -> None:
+    row = searched("one order too many", lambda rng: _record(rng, 1), "oe", (3, 3), 1e9)
+    assert set(row) >= KEYS
+    assert row["holds"] is True
+    assert row["baseline_seconds"] == 1e9
+    assert "CONVERGED" in row["note"]
 
 
 def test_memory_is_bounded() -> None:
