@@ -48,6 +48,14 @@ def white_information(
     return information.constant + mean_information(information) * total / information.n_inputs
 
 
+def told_together(rows: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The group (n,) of every parameter: those of different groups have no row (m, n) together, directly or through others."""
+    from scipy.sparse.csgraph import connected_components
+
+    present = (rows != 0).astype(float)
+    return connected_components(present.T @ present > 0, directed=False)[1]
+
+
 def white_root(information: InformationMap, D: NDArray[np.complex128]) -> NDArray[np.float64]:
     """Triangular R with R'R = constant + mean over the grid of the information of unit power in every
     channel: D (K, n, ..) -> (n, n)."""
@@ -67,4 +75,6 @@ def white_root(information: InformationMap, D: NDArray[np.complex128]) -> NDArra
             f"no input in the band tells anything about {'; '.join(combinations)}: fix one of these parameters, "
             "widen the band, or add prior information."
         )
-    return R * scale
+    # What nothing tells of together has no rounding in common either.
+    group = told_together(rows)
+    return np.where(group[:, None] == group, R * scale, 0.0)

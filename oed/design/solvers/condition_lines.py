@@ -82,6 +82,10 @@ class Setting:
         values, vectors = np.linalg.eigh((S + S.conj().swapaxes(1, 2)) / 2)
         return values[:, -1], vectors[:, :, -1]
 
+    def price(self, omega: NDArray, Z_low: NDArray) -> NDArray[np.float64]:
+        """tr S_1 (K,), the unit of an excess: beside a resonance rounding is more than all there is elsewhere."""
+        return np.maximum(np.trace(self.forms(omega, Z_low), axis1=1, axis2=2).real, 1e-300)
+
     def surplus(self, Z_low: NDArray, Z_high: NDArray, k: float) -> float:
         """What the constant part leaves of tr (Z_2 - k Z_1) M."""
         return float(np.sum((Z_high - k * Z_low) * self.constant))
@@ -122,18 +126,37 @@ def conic_weights(lines: Lines, setting: Setting) -> tuple[NDArray, NDArray, NDA
 
 def own_weights(
     lines: Lines, setting: Setting, start: NDArray[np.float64], accuracy: float
-) -> tuple[NDArray, NDArray, NDArray]:
-    """The same by our own method, to the digits that Clarabel leaves: weights to begin with (m,)."""
+) -> tuple[Lines, NDArray, NDArray, NDArray]:
+    """The same by our own method, to the digits that Clarabel leaves, with the best directions at the lines' frequencies: between the
+    directions that have been tried there are others, hardly dearer, without end; weights to begin with (m,)."""
     problem = setting.problem
     if np.any(setting.constant):
-        return conic_weights(lines, setting)
+        return lines, *conic_weights(lines, setting)
+    q = setting.map.n_inputs
+    omega, at = np.unique(lines.omega, return_inverse=True)
+    shares = np.zeros((len(omega), q))
+    np.add.at(shares, at, start[:, None] * np.abs(lines.direction) ** 2)
+    eye = np.tile(np.eye(q, dtype=complex), (len(omega), 1))
+    whole = setting.lines(np.repeat(omega, q), eye)
+    cells = (np.arange(len(eye)).reshape(-1, q),)
+    F = problem.columns(whole.omega, eye).F
+    r = whole.F.shape[2] // 2
     try:
-        F = problem.columns(lines.omega, lines.direction).F
-        w, X_low, X_high, _ = condition_weights(F, problem.criterion.V, lines.F, start, tolerance=accuracy)
+        (power,), X_low, X_high, _ = condition_weights(
+            F[:, :, ::2] + 1j * F[:, :, 1::2], problem.criterion.V, whole.F[:, :, :r] + 1j * whole.F[:, :, r:], shares.ravel(),
+            cells=cells, tolerance=accuracy,
+        )  # fmt: skip
     except np.linalg.LinAlgError:
-        return conic_weights(lines, setting)
+        return lines, *conic_weights(lines, setting)
     low = problem.original.V.T @ np.linalg.solve(problem.R, X_low)
-    return w * setting.power / w.sum(), unit_trace(low @ low.T), unit_trace(X_high @ X_high.T)
+    ends = (omega == 0) | (omega == np.pi)
+    power = np.where(ends[:, None, None], power.real, power)
+    values, vectors = np.linalg.eigh(power)
+    found, w = (
+        setting.lines(np.repeat(omega, q), vectors.swapaxes(1, 2).reshape(-1, q)),
+        np.maximum(values.ravel(), 0.0),
+    )
+    return found, w * setting.power / w.sum(), unit_trace(low @ low.T), unit_trace(X_high @ X_high.T)
 
 
 def needed(

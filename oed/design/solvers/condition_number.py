@@ -79,20 +79,23 @@ def condition_design(
     q = setting.map.n_inputs
     lines = setting.lines(np.repeat(omega, q), np.tile(np.eye(q, dtype=complex), (len(omega), 1)))
     best_loss, best_bound, kept, proof, rounds = np.inf, 0.0, None, None, 0
-    reference, stalled, start, accuracy, looked, gap = np.inf, 0, None, 1e-12, False, np.inf
+    reference, stalled, start, accuracy, looked, gap = np.inf, 0, None, 1e-12, None, np.inf
     proofs: list[tuple[float, NDArray, NDArray]] = []
     while rounds < max_rounds:
         rounds += 1
         found = (
-            conic_weights(lines, setting) if start is None else own_weights(lines, setting, start, accuracy)
+            (lines, *conic_weights(lines, setting))
+            if start is None
+            else own_weights(lines, setting, start, accuracy)
         )
-        tries = [(lines, *found)]
+        tries = [found]
         loss, tried, hints = np.inf, 0, None
         while tries and not best_loss <= best_bound * (1 + tolerance):
             own, w, Z_low, Z_high = tries.pop()
             loss = setting.loss(own, w)
             if loss < best_loss:
-                best_loss, kept = loss, (own, w)
+                # With its lines on the grid no certificate says more than its loss.
+                best_loss, kept, omega = loss, (own, w), np.union1d(omega, own.omega[w > 0])
             Z_high = _lifted(setting, omega, Z_low, Z_high, loss)
             bound, omega = _bound(setting, omega, bands, Z_low, Z_high, loss, refine)
             if bound > best_bound:
@@ -115,12 +118,12 @@ def condition_design(
                 ]
         gap = best_loss / max(best_bound, 1e-300) - 1
         reference, stalled = (gap, 0) if gap < 0.8 * reference else (reference, stalled + 1)
-        if gap <= tolerance and refine and not looked:
+        if gap <= tolerance and refine and looked is not proof:
             best_bound, proof, omega = _looked_at(setting, omega, bands, kept, proofs, best_loss)
-            looked, gap = True, best_loss / max(best_bound, 1e-300) - 1
+            proofs, looked, gap = [(best_bound, *proof)], proof, best_loss / max(best_bound, 1e-300) - 1
         if gap <= tolerance or not np.isfinite(best_loss) or stalled == PATIENCE:
             break
-        w, Z_low, Z_high = found
+        lines, w, Z_low, Z_high = found
         loss = setting.loss(lines, w)
         new = _dear(setting, omega, Z_low, Z_high, loss)
         if hints is not None:
@@ -130,7 +133,7 @@ def condition_design(
         accuracy = max(1e-12, CENTRED * gap)
         old, w = needed(setting, lines, w, Z_low, Z_high, loss)
         lines, start = old + new, np.append(w, np.zeros(len(new.omega)))
-    if proofs and refine and not (looked and gap <= tolerance):
+    if proofs and refine and not (looked is proof and gap <= tolerance):
         best_bound, proof, omega = _looked_at(setting, omega, bands, kept, proofs, best_loss)
     if kept is None or proof is None:
         raise NotIdentifiable(
@@ -194,8 +197,8 @@ def _supposed(
 def _dear(setting: Setting, omega: NDArray, Z_low: NDArray, Z_high: NDArray, loss: float) -> Lines:
     """The lines of a grid that can come in: where k S_1 - S_2 has its maxima, above 0, where the own lines are."""
     high, direction = setting.excess(omega, Z_low, Z_high, loss if np.isfinite(loss) else 0.0)
-    own = loss * np.trace(setting.forms(omega, Z_low), axis1=1, axis2=2).real
-    above = np.flatnonzero(high > OVER * own)
+    high = high / setting.price(omega, Z_low) / (loss if np.isfinite(loss) else 1.0)
+    above = np.flatnonzero(high > OVER)
     peaks = np.intersect1d(local_maxima(high), above)
     # Where the multipliers have let go of a whole stretch, its maxima would come in one by one.
     at = np.union1d(peaks[np.argsort(high[peaks])[-HIGHEST:]], above[:: 1 + len(above) // HIGHEST])
@@ -266,9 +269,9 @@ def _bound(
     k = loss
     for _ in range(REFINED if refine else 0):
         # Between the lines the maxima of the excess at k itself decide, and there are others at the loss.
-        high = setting.excess(omega, Z_low, Z_high, k)[0]
+        high, own = setting.excess(omega, Z_low, Z_high, k)[0], setting.price(omega, Z_low)
         at, before = local_maxima(high), k
-        at = np.sort(at[np.argsort(high[at])[-HIGHEST:]])
+        at = np.sort(at[np.argsort(high[at] / own[at])[-HIGHEST:]])
         left, right = omega[np.maximum(at - 1, 0)], omega[np.minimum(at + 1, len(omega) - 1)]
         found = maxima_between(lambda w, k=k: setting.excess(w, Z_low, Z_high, k)[0], left, right)
         omega = np.union1d(omega, within(found, bands))

@@ -1,12 +1,12 @@
 """Optimal weights of given columns by a primal-dual interior-point method: E, and modified E.
 
-    maximise t subject to S_b = C_b +- M_b(w) - t V_b V_b' positive semidefinite for one or two b, Q w <= 1, w >= 0
+    maximise t subject to S_b = C_b +- M_b(P) - t V_b V_b' positive semidefinite for every b, Q P <= 1, P positive semidefinite
 
-with multipliers Z_b of S_b (the certificate, sum tr V'ZV = 1), nu and z. E (t = 1 / loss) has the one C = M_0; modified E has
-M - t V V' and I - M. The direction is that of Nesterov and Todd (SIAM J. Optimization 8 (1998) 324-364): in coordinates in which
-S and Z are the same diagonal matrix, and w and z, s and nu the same vectors, the multipliers' step is what is left of a
-least-squares problem for the weights' step. Solved by an orthogonal decomposition, never by its normal equations: those lose the
-multipliers' digits at a gap of 1e-7."""
+with multipliers Z_b of S_b (the certificate, sum tr V'ZV = 1), nu and z. E (t = 1 / loss) has M_0 + M - t V V'; modified E has
+M - t V V' and I - M; of parameters that no line tells of together, each group has its own. P is what the directions of a cell have of
+the power, one Hermitian matrix: of one direction a weight, of all directions at a frequency whatever power there is best. The
+direction is that of Nesterov and Todd: the multipliers' step is what is left of a least-squares problem for the weights' step. Solved
+by an orthogonal decomposition, never by its normal equations: those lose the multipliers' digits at a gap of 1e-7."""
 
 from dataclasses import dataclass
 
@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oed.criteria import Criterion
-from oed.design.problem.lines import Columns, factor_of
-from oed.design.solvers.weights_da import Weights, blocks, inside, reach
+from oed.design.problem.lines import Columns
+from oed.design.problem.white import told_together
+from oed.design.solvers.scaled_cones import Cone, Projection, shared_step, vector
+from oed.design.solvers.weights_da import Weights, inside
 from oed.errors import Status
 
 PATIENCE = 6
@@ -28,46 +30,55 @@ SPREAD = 0.1
 """Share of the information that is spread over all columns to begin with, where there are weights to begin with."""
 ADMISSIBLE = 1e-1
 """Gap below which the multipliers are nearly admissible: before that it need not fall."""
-Factors = tuple[NDArray[np.float64], ...]
+FLOOR = 1e-14
+"""Of the largest cost of a direction: what a direction costs at least, where rounding leaves it nothing."""
+Factors = tuple[NDArray, ...]
 
 
 def eigenvalue_weights(
     columns: Columns, criterion: Criterion, constant: NDArray[np.float64], *, tolerance: float = 1e-12, max_steps: int = 60
 ) -> Weights:  # fmt: skip
     """Optimal weights for an E criterion: constant (n, n)."""
-    problem = _Problem((_Block(1.0, constant, columns.F, criterion.columns),), columns.q.T)
+    V, cells = criterion.columns, alone(len(columns))
+    blocks = _blocks(1.0, constant, columns.F, V, cells)
+    problem = _Problem(blocks, _costs(columns.q, cells))
     w = inside(np.ones(len(columns)), columns.q.T)
     loss = criterion.loss(constant + columns.information(w))
     best, status, step = _solved(problem, problem.first(w, FIRST / loss), tolerance, max_steps)
-    return Weights(np.maximum(best.w, 0.0), _orthogonal(best.Z[0]), best.nu, status, step)
+    power = np.abs(best.P[0][:, 0, 0]) ** 2
+    return Weights(power, _orthogonal(_gathered(blocks, best.Z, len(V))), best.nu, status, step)
+
+
+def alone(count: int) -> tuple[NDArray[np.int64], ...]:
+    """Every column a cell of its own."""
+    return (np.arange(count)[:, None],)
 
 
 def condition_weights(
-    F_low: NDArray[np.float64], V: NDArray[np.float64], F_high: NDArray[np.float64], start: NDArray[np.float64], *,
-    tolerance: float = 1e-12, max_steps: int = 60,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], Status]:  # fmt: skip
-    """Weights (m,) with the largest t of M - t V V' and I - M, factors X_low and X_high of the multipliers, and how it ended; M in
-    two systems of coordinates, F_low and F_high (m, n, r): each eigenvalue has its digits in its own; start (m,)."""
-    from scipy.linalg import solve_triangular
-
+    F_low: NDArray, V: NDArray[np.float64], F_high: NDArray, start: NDArray[np.float64], *,
+    cells: tuple[NDArray[np.int64], ...] | None = None, tolerance: float = 1e-12, max_steps: int = 60,
+) -> tuple[tuple[NDArray, ...], NDArray[np.float64], NDArray[np.float64], Status]:  # fmt: skip
+    """Power of every cell, (K, p, p) for each size p, with the largest t of M - t V V' and I - M, factors X_low and X_high of the
+    multipliers, and how it ended; M in two systems of coordinates, F_low and F_high (m, n, r), complex where cells (K, p) of columns
+    have more than one: each eigenvalue has its digits in its own; start (m,)."""
     m, n, _ = F_low.shape
-    told = start * np.sum(F_high**2, axis=(1, 2))
-    w = start + SPREAD * told.sum() / m / np.sum(F_high**2, axis=(1, 2))
-    w *= 0.5 / float(np.linalg.norm(factor_of(F_high, w), 2)) ** 2
-    # In coordinates in which these weights tell of every direction alike: the least eigenvalue is then no rounding of the others.
-    half = np.linalg.qr(factor_of(F_low, w).T, mode="r").T
-    F_low, V = (
-        solve_triangular(half, np.moveaxis(F_low, 0, 1).reshape(n, -1), lower=True),
-        solve_triangular(half, V, lower=True),
+    cells = alone(m) if cells is None else cells
+    size = np.sum(np.abs(F_high) ** 2, axis=(1, 2))
+    w = start + SPREAD * float(start @ size) / m / size
+    w *= 0.5 / float(np.linalg.norm(_flat(F_high * np.sqrt(w)[:, None, None]), 2)) ** 2
+    low, high = (
+        _blocks(1.0, np.zeros((n, n)), F_low, V, cells),
+        _blocks(-1.0, np.eye(n), F_high, 0 * V, cells),
     )
-    F_low = np.moveaxis(F_low.reshape(n, m, -1), 1, 0)
-    t = FIRST / float(np.linalg.norm(V, 2)) ** 2
-    nothing = np.zeros((n, n))
-    low, high = _Block(1.0, nothing, F_low, V), _Block(-1.0, np.eye(n), F_high, 0 * V)
-    problem = _Problem((low, high), np.zeros((0, m)))
-    best, status, _ = _solved(problem, problem.first(w, t), tolerance, max_steps)
-    X_low = solve_triangular(half, _orthogonal(best.Z[0]), lower=True, trans=1)
-    return np.maximum(best.w, 0.0), X_low, _orthogonal(best.Z[1]), status
+    # In coordinates in which these weights tell of every direction alike: the least eigenvalue is then no rounding of the others.
+    halves = [_half(block, w, cells) for block in low]
+    low = tuple(block.turned(half) for block, half in zip(low, halves, strict=True))
+    t = FIRST / max(float(np.linalg.norm(block.V, 2)) for block in low) ** 2
+    problem = _Problem((*low, *high), tuple(np.zeros((len(g), 0, g.shape[1], g.shape[1])) for g in cells))
+    best, status, _ = _solved(problem, problem.first(w, t, cells), tolerance, max_steps)
+    own = tuple(np.linalg.solve(half.T, Z) for half, Z in zip(halves, best.Z, strict=False))
+    X_low, X_high = _gathered(low, own, n), _gathered(high, best.Z[len(low) :], n)
+    return tuple(P @ P.conj().swapaxes(1, 2) for P in best.P), _orthogonal(X_low), _orthogonal(X_high), status
 
 
 def _orthogonal(Z: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -76,152 +87,242 @@ def _orthogonal(Z: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(X * size, dtype=np.float64)
 
 
+def _flat(F: NDArray) -> NDArray[np.float64]:
+    """Factors (.., n, r), real or complex, side by side as real ones (n, k)."""
+    flat = np.moveaxis(F, -2, 0).reshape(F.shape[-2], -1)
+    return np.concatenate([flat.real, flat.imag], axis=1) if np.iscomplexobj(F) else np.asarray(flat)
+
+
 @dataclass(frozen=True, eq=False)
 class _Iterate:
-    """Weights w, t and slacks s = 1 - Q w; factors of every S and of its multiplier Z; multipliers z of w, nu of the budgets."""
+    """Factors P of the power of the cells, t and slacks s = 1 - Q P; factors of every S and of its multiplier Z; factors z of the
+    multipliers of P, nu of the budgets."""
 
-    w: NDArray[np.float64]
+    P: Factors
     t: float
     s: NDArray[np.float64]
     S: Factors
     Z: Factors
-    z: NDArray[np.float64]
+    z: Factors
     nu: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class _Block:
-    """S = C + sign M(w) - t V V': the columns' factors F (m, n, r)."""
+    """S = C + sign M(P) - t V V' of the parameters `own`: the factors F (K, p, n, r) of the cells of each size."""
 
+    own: NDArray[np.int64]
     sign: float
     constant: NDArray[np.float64]
-    F: NDArray[np.float64]
+    F: Factors
     V: NDArray[np.float64]
 
-    @property
-    def flat(self) -> NDArray[np.float64]:
-        """The factors side by side (n, m r)."""
-        return np.moveaxis(self.F, 0, 1).reshape(self.F.shape[1], -1)
+    def told(self, P: Factors) -> NDArray[np.float64]:
+        """Factor of the information of the cells' power."""
+        return np.concatenate([_flat(_turned(F, one)) for F, one in zip(self.F, P, strict=True)], axis=1)
 
-    def slack(self, w: NDArray[np.float64], t: float) -> NDArray[np.float64]:
+    def turned(self, half: NDArray[np.float64]) -> "_Block":
+        """In coordinates half^-1, lower triangular; the constant is none."""
+        from scipy.linalg import solve_triangular
+
+        n = len(half)
+        below = lambda A: solve_triangular(half, A, lower=True)
+        F = tuple(
+            np.moveaxis(
+                below(np.moveaxis(one, 2, 0).reshape(n, -1)).reshape(n, *np.delete(one.shape, 2)), 0, 2
+            )
+            for one in self.F
+        )
+        return _Block(self.own, self.sign, self.constant, F, below(self.V))
+
+    def slack(self, P: Factors, t: float) -> NDArray[np.float64]:
         """The factor of S; LinAlgError where rounding leaves the cone."""
-        told = factor_of(self.F, w)
+        told = self.told(P)
         S = self.constant + self.sign * (told @ told.T) - t * (self.V @ self.V.T)
         return np.asarray(np.linalg.cholesky(S), dtype=np.float64)
 
-    def worth(self, Z: NDArray[np.float64]) -> NDArray[np.float64]:
-        """tr(A_k Z Z') of every column."""
-        return np.sum((Z.T @ self.flat) ** 2, axis=0).reshape(len(self.F), -1).sum(axis=1)
+    def worth(self, Z: NDArray[np.float64]) -> Factors:
+        """What every cell's power is worth to Z Z', (K, p, p) of each size."""
+        found = []
+        for F in self.F:
+            G = (Z.T @ F).reshape(*F.shape[:2], -1)
+            found.append(G.conj() @ G.swapaxes(1, 2))
+        return tuple(found)
+
+
+def _blocks(
+    sign: float, constant: NDArray[np.float64], F: NDArray, V: NDArray[np.float64], cells: tuple[NDArray[np.int64], ...]
+) -> tuple[_Block, ...]:  # fmt: skip
+    """One for each group of parameters that nothing tells of together: F (m, n, r)."""
+    group = told_together(np.concatenate([_flat(F).T, V.T, constant]))
+    found = []
+    for k in range(group.max() + 1):
+        own = np.flatnonzero(group == k)
+        told = F[:, own]
+        told = told[:, :, np.any(told != 0, axis=(0, 1))]
+        # A cell of one direction needs real factors only.
+        parts = [told[one] for one in cells]
+        parts = [
+            np.concatenate([part.real, part.imag], axis=3)
+            if part.shape[1] == 1 and np.iscomplexobj(part)
+            else part
+            for part in parts
+        ]
+        found.append(
+            _Block(
+                own, sign, constant[np.ix_(own, own)], tuple(parts), V[own][:, np.any(V[own] != 0, axis=0)]
+            )
+        )
+    return tuple(found)
+
+
+def _costs(q: NDArray[np.float64], cells: tuple[NDArray[np.int64], ...]) -> Factors:
+    """What a cell's directions, at right angles, use of every budget, (K, J, p, p) of each size: q (m, J)."""
+    return tuple(q[one].swapaxes(1, 2)[..., None] * np.eye(one.shape[1]) for one in cells)
+
+
+def _half(block: _Block, w: NDArray[np.float64], cells: tuple[NDArray[np.int64], ...]) -> NDArray[np.float64]:
+    """L of the information L L' of weights (m,)."""
+    return np.asarray(np.linalg.qr(block.told(_diagonal(w, cells)).T, mode="r").T, dtype=np.float64)
+
+
+def _diagonal(w: NDArray[np.float64], cells: tuple[NDArray[np.int64], ...]) -> Factors:
+    """Factors of the cells' power where no two directions go together: w (m,)."""
+    return tuple(np.sqrt(w[one])[..., None] * np.eye(one.shape[1]) for one in cells)
+
+
+def _gathered(blocks: tuple[_Block, ...], Z: Factors, n: int) -> NDArray[np.float64]:
+    """The factors of all blocks as one (n, n)."""
+    X = np.zeros((n, n))
+    for block, one in zip(blocks, Z, strict=True):
+        X[np.ix_(block.own, block.own)] = one
+    return X
+
+
+def _turned(F: NDArray, L: NDArray) -> NDArray:
+    """F (K, p, n, r) of the directions that a factor (K, p, p) makes of a cell's."""
+    K, p, n, r = F.shape
+    return (L.swapaxes(1, 2) @ F.reshape(K, p, n * r)).reshape(K, p, n, r)
 
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """The blocks and the budgets' shares (J, m)."""
+    """The blocks and what the cells of each size use of the budgets, (K, J, p, p)."""
 
     blocks: tuple[_Block, ...]
-    Q: NDArray[np.float64]
+    Q: Factors
 
-    def slacks(self, w: NDArray[np.float64], t: float) -> Factors:
+    def slacks(self, P: Factors, t: float) -> Factors:
         """Factors of every S."""
-        return tuple(block.slack(w, t) for block in self.blocks)
+        return tuple(block.slack(P, t) for block in self.blocks)
 
-    def balance(self, Z: Factors) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """What every column is worth to M - t V V', and what it takes of I - M."""
-        gains = [block.worth(one) for block, one in zip(self.blocks, Z, strict=True)]
-        return gains[0], sum(gains[1:], np.zeros(len(gains[0])))
+    def left(self, P: Factors) -> NDArray[np.float64]:
+        """1 - Q P of every budget."""
+        used = [
+            np.einsum("kjab,kac,kbc->j", Q, one.conj(), one, optimize=True).real
+            for Q, one in zip(self.Q, P, strict=True)
+        ]
+        return np.asarray(1 - sum(used[1:], used[0]), dtype=np.float64)
 
-    def first(self, w: NDArray[np.float64], t: float) -> _Iterate:
+    def balance(self, Z: Factors, nu: NDArray[np.float64]) -> tuple[Factors, Factors]:
+        """What every cell's power is worth to the blocks that it adds to, and what it costs."""
+        worth = [np.zeros(Q.shape[::2][:1] + Q.shape[2:]) for Q in self.Q]
+        cost = [np.einsum("j,kjab->kab", nu, Q) for Q in self.Q]
+        for block, one in zip(self.blocks, Z, strict=True):
+            side = worth if block.sign > 0 else cost
+            side[:] = [had + more for had, more in zip(side, block.worth(one), strict=True)]
+        return tuple(worth), tuple(cost)
+
+    def first(
+        self, w: NDArray[np.float64], t: float, cells: tuple[NDArray[np.int64], ...] | None = None
+    ) -> _Iterate:
         """An iterate well inside, with equal weights: near the optimum of other columns it takes more steps."""
-        Q = self.Q
-        S = self.slacks(w, t)
+        P, J = _diagonal(w, alone(len(w)) if cells is None else cells), self.Q[0].shape[1]
+        S = self.slacks(P, t)
         Z = tuple(np.asarray(np.linalg.inv(one).T, dtype=np.float64) for one in S)
-        size = np.linalg.norm(Z[0].T @ self.blocks[0].V)
+        size = np.sqrt(sum(np.sum((one.T @ block.V) ** 2) for block, one in zip(self.blocks, Z, strict=True)))
         Z = tuple(one / size for one in Z)
-        worth, taken = self.balance(Z)
-        nu = np.full(len(Q), float(worth @ w) / max(len(Q), 1))
-        least = 0.1 * float(worth @ w) / len(w) / (1.0 if len(Q) else w)
-        return _Iterate(w, t, 1 - Q @ w, S, Z, np.maximum(Q.T @ nu + taken - worth, least), nu)
+        worth = self.balance(Z, np.zeros(J))[0]
+        inside = lambda A: [one.conj().swapaxes(1, 2) @ part @ one for one, part in zip(P, A, strict=True)]
+        total = sum(float(np.einsum("kaa->", part).real) for part in inside(worth))
+        nu = np.full(J, total / max(J, 1))
+        z = []
+        for one, spent, earned in zip(P, inside(self.balance(Z, nu)[1]), inside(worth), strict=True):
+            values, vectors = np.linalg.eigh(spent - earned)
+            power = np.mean(np.abs(one) ** 2 * one.shape[1], axis=(1, 2)) if J else np.ones(len(one))
+            root = vectors * np.sqrt(np.maximum(values, 0.1 * total / len(w) * power[:, None]))[:, None, :]
+            z.append(np.linalg.solve(one.conj().swapaxes(1, 2), root))
+        return _Iterate(P, t, self.left(P), S, Z, tuple(z), nu)
 
     def gap(self, now: _Iterate) -> float:
         """Relative gap between t and the bound of the multipliers, made admissible; infinite where t, which is free, has no loss."""
         if now.t <= 0.0:
             return np.inf
-        worth, taken = self.balance(now.Z)
-        price = float((worth / (self.Q.T @ now.nu + taken)).max())
-        fixed = [float(np.sum(Z * (b.constant @ Z))) for b, Z in zip(self.blocks, now.Z, strict=True)]
-        most = price * (now.nu.sum() + sum(fixed[1:])) + fixed[0]
-        return float(most / np.sum((self.blocks[0].V.T @ now.Z[0]) ** 2) / now.t - 1)
+        price = 0.0
+        for worth, cost in zip(*self.balance(now.Z, now.nu), strict=True):
+            values, vectors = np.linalg.eigh(cost)
+            root = vectors / np.sqrt(np.maximum(values, FLOOR * values[:, -1:]))[:, None, :]
+            price = max(price, float(np.linalg.eigvalsh(root.conj().swapaxes(1, 2) @ worth @ root).max()))
+        fixed = {1.0: 0.0, -1.0: float(now.nu.sum())}
+        for block, Z in zip(self.blocks, now.Z, strict=True):
+            fixed[block.sign] += float(np.sum(Z * (block.constant @ Z)))
+        size = sum(np.sum((block.V.T @ Z) ** 2) for block, Z in zip(self.blocks, now.Z, strict=True))
+        return float((price * fixed[-1.0] + fixed[1.0]) / size / now.t - 1)
 
     def next(self, now: _Iterate) -> _Iterate:
         """One predictor-corrector step; LinAlgError where rounding leaves the cone."""
-        from scipy.linalg import solve_triangular
-
-        n, m = len(self.blocks[0].V), len(now.w)
-        upper = np.triu_indices(n)
-        twice = np.where(upper[0] == upper[1], 1.0, np.sqrt(2.0))
-        vector = lambda A: A[..., upper[0], upper[1]] * twice
-        N, count = len(upper[0]), len(self.blocks)
-
-        def matrix(v: NDArray[np.float64]) -> NDArray[np.float64]:
-            A = np.zeros((n, n))
-            A[upper] = v / twice
-            return A + np.triu(A, 1).T
-
-        x, y = np.concatenate([now.w, now.s]), np.concatenate([now.z, now.nu])
-        root, unit = np.sqrt(x * y), np.sqrt(x / y)
-        B = np.zeros((count * N + len(x), m + 1))
-        downs, lams = [], []
-        for k, (block, S, Z) in enumerate(zip(self.blocks, now.S, now.Z, strict=True)):
-            # R'ZZ'R = R^-1 SS'R^-T = diag(lam); the pairs of vectors alike.
-            U, lam, _ = np.linalg.svd(Z.T @ S)
-            down = (Z @ U / np.sqrt(lam)).T  # R^-1
-            half, turned = blocks(down @ block.flat, block.F.shape[2]), down @ block.V
-            B[k * N : (k + 1) * N, :m] = block.sign * vector(half @ half.swapaxes(1, 2)).T
-            B[k * N : (k + 1) * N, m] = -vector(turned @ turned.T)
-            downs.append(down)
-            lams.append(lam)
-        end = count * N
-        B[end : end + m, :m] = np.diag(1 / unit[:m])
-        B[end + m :, :m] = -self.Q / unit[m:, None]
-        if not np.isfinite(B).all():
+        outer = [Cone.of(S[None], Z[None]) for S, Z in zip(now.S, now.Z, strict=True)]
+        outer.append(Cone.of(np.sqrt(now.s)[:, None, None], np.sqrt(now.nu)[:, None, None]))
+        inner = [Cone.of(P, z) for P, z in zip(now.P, now.z, strict=True)]
+        A, c = self._slopes(outer, inner)
+        if not (np.isfinite(A).all() and np.isfinite(c).all()):
             raise np.linalg.LinAlgError("rounding has left the cone")
-        basis, T = np.linalg.qr(B)
-        price = basis @ solve_triangular(T, np.eye(m + 1)[m], trans=1)
-        parts = [slice(k * N, (k + 1) * N) for k in range(count)]
-        here = np.concatenate([*(vector(np.diag(lam)) for lam in lams), root])
+        project, cones, count = Projection(A, c), [*outer, *inner], len(outer)
+        a, b, p, q = shared_step(cones, project, BEFORE)
+        dx, dt = project.solved(a)
+        back = np.split(b, np.cumsum([cone.size for cone in cones])[:-1])
+        Z = [cone.moved(v, q, cone.down.conj().swapaxes(1, 2)) for cone, v in zip(cones, back, strict=True)]
+        ahead = np.split(dx, np.cumsum([cone.size for cone in inner])[:-1])
+        P, t = tuple(cone.moved(v, p, cone.up) for cone, v in zip(inner, ahead, strict=True)), now.t + p * dt
+        return _Iterate(
+            P, t, self.left(P), self.slacks(P, t), tuple(one[0] for one in Z[: count - 1]), tuple(Z[count:]),
+            Z[count - 1][:, 0, 0] ** 2,
+        )  # fmt: skip
 
-        def step(target: float, C: list[NDArray], c: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
-            """The changes of the slacks and of the multipliers, in these coordinates."""
-            cones = [
-                vector(target * np.eye(n) - np.diag(lam**2) - one) / (vector(lam[:, None] + lam) / twice / 2)
-                for lam, one in zip(lams, C, strict=True)
+    def _slopes(
+        self, outer: list[Cone], inner: list[Cone]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """What the power of the cells, and t, change of the slacks, all in the cones' coordinates: (N, M) and (N,)."""
+        rows, of_t = [], []
+        for block, cone in zip(self.blocks, outer, strict=False):
+            down = cone.down[0]
+            parts = [
+                _products(down @ _turned(F, own.up), np.iscomplexobj(own.down))
+                for F, own in zip(block.F, inner, strict=True)
             ]
-            wanted = np.concatenate([*cones, (target - root**2 - c) / root])
-            ahead = basis @ (basis.T @ (here + wanted)) + price
-            return ahead, wanted - ahead
+            rows.append(np.concatenate([block.sign * vector(part, False) for part in parts]).T)
+            turned = down @ block.V
+            of_t.append(-cone.vector((turned @ turned.T)[None]))
+        scale = outer[-1].down[:, 0, 0] ** 2
+        used = []
+        for Q, own in zip(self.Q, inner, strict=True):
+            Q = own.up.conj().swapaxes(1, 2)[:, None] @ Q @ own.up[:, None]
+            used.append(np.moveaxis(vector(Q, np.iscomplexobj(own.down)), 1, 0).reshape(Q.shape[1], own.size))
+        rows.append(-scale[:, None] * np.concatenate(used, axis=1))
+        return np.concatenate(rows), np.concatenate([*of_t, np.zeros(len(scale))])
 
-        def reaches(d: NDArray[np.float64]) -> float:
-            lowest = min(
-                float(np.linalg.eigvalsh(matrix(d[part]) / np.sqrt(np.outer(lam, lam)))[0])
-                for part, lam in zip(parts, lams, strict=True)
-            )
-            return min(-1 / lowest if lowest < 0 else np.inf, reach(root, d[end:]))
 
-        mu = float(here @ here) / (count * n + len(x))
-        a, b = step(0.0, [np.zeros((n, n))] * count, np.zeros(len(x)))
-        p, q = min(1.0, reaches(a)), min(1.0, reaches(b))
-        after = float((here + p * a) @ (here + q * b)) / (count * n + len(x))
-        C = [matrix(a[part]) @ matrix(b[part]) for part in parts]
-        a, b = step(mu * min(1.0, after / mu) ** 3, [(one + one.T) / 2 for one in C], a[end:] * b[end:])
-        p, q = min(1.0, BEFORE * reaches(a)), min(1.0, BEFORE * reaches(b))
-        dy = solve_triangular(T, basis.T @ a)
-        w, t = now.w + p * dy[:m], now.t + p * dy[m]
-        z = y + q * b[end:] / unit
-        Z = tuple(
-            down.T @ np.linalg.cholesky(np.diag(lam) + q * matrix(b[part]))
-            for down, lam, part in zip(downs, lams, parts, strict=True)
-        )
-        return _Iterate(w, t, 1 - self.Q @ w, self.slacks(w, t), Z, z[:m], z[m:])
+def _products(H: NDArray, whole: bool) -> NDArray[np.float64]:
+    """The information of every entry of a cell's power, in the order of `vector`: H (K, p, n, r) -> (K d, n, n)."""
+    p, n = H.shape[1:3]
+    one, other = np.triu_indices(p, 1)
+    first = np.concatenate([np.arange(p), one])
+    second = np.concatenate([np.arange(p), other])
+    outer = H[:, first] @ H[:, second].conj().swapaxes(2, 3)
+    outer = (outer + outer.swapaxes(2, 3)) / 2
+    real = outer.real * np.where(first == second, 1.0, np.sqrt(2.0))[:, None, None]
+    parts = [real, -np.sqrt(2.0) * outer[:, p:].imag] if whole else [real]
+    return np.concatenate(parts, axis=1).reshape(-1, n, n)
 
 
 def _solved(
