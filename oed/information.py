@@ -9,7 +9,7 @@ which is linear in the spectrum, hence additive over experiments."""
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -60,7 +60,8 @@ def whitened_gradient(model: Responding, omega: ArrayLike) -> NDArray[np.complex
     H = model.noise_response(omega)
     if isinstance(H, tuple):
         return np.einsum("kpr,knrq->knpq", W @ np.linalg.inv(H[0]), dG)
-    return np.einsum("pr,knrq->knpq", W, dG) / H[:, None, None, None]
+    whitened: Any = np.tensordot(W, dG, (1, 2))
+    return np.moveaxis(whitened, 0, 2) / H[:, None, None, None]
 
 
 ENTRIES = 2_000_000

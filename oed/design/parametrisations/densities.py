@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 
@@ -18,8 +19,11 @@ ROUNDED = 1e-12
 """Excess of a worth over its cost, relative, that is rounding: where the price is flat its sign changes without end."""
 MOST_JUMPS = 200
 """Jumps of a density: its price is a rational function and has no more; more are rounding, where it is flat."""
-PARTS, CUTS = 16, 14
-"""Into how many parts the brackets of a jump are cut, and how often: a double has no more digits, and a few points cost as much as one."""
+CUTS = 60
+"""Times that the bracket of a jump is cut: a double has no more digits, and secants take about eight."""
+HALVED = 3
+"""Of so many cuts one halves the bracket, however little the secants gain."""
+TINY = np.finfo(float).tiny
 SOUGHT = 7
 """Times that the brackets of a peak between two nodes are cut to a quarter."""
 
@@ -111,6 +115,12 @@ class Pricing:
         values, vectors = np.linalg.eigh(R.conj().swapaxes(1, 2) @ T @ R)
         return D @ R[:, None], R, values, vectors
 
+    def worth(self, omega: NDArray[np.float64], one: Density) -> tuple[NDArray, NDArray]:
+        """R and the eigenvalues (K, q) alone, which is most of what is asked and a third of the work."""
+        R = self.masks.at(omega)[0]
+        T = one.worth(self.problem.scaled_factor(omega), self.limit)
+        return R, np.linalg.eigvalsh(R.conj().swapaxes(1, 2) @ T @ R)
+
     def cut(self, panels: Panels, one: Density) -> Panels:
         """Panels with edges where the density jumps."""
         return panels if panels.B is not None else self.cut_at(panels, self.jumps(panels, one))
@@ -138,7 +148,7 @@ class Pricing:
         """Where the number of positive eigenvalues of a density's worth changes."""
 
         def worth(omega: NDArray) -> NDArray[np.float64]:
-            _, R, values, _ = self.within(omega, one)
+            R, values = self.worth(omega, one)
             cost = one.nu * np.sum(np.abs(R) ** 2, axis=(1, 2)) / self.limit
             return values - ROUNDED * cost[:, None]
 
@@ -157,15 +167,36 @@ class Pricing:
             peaks = maxima_between(lambda omega, k=k, sign=sign: sign * worth(omega)[:, k], low, high, SOUGHT)
             points = np.union1d(points, peaks)
             values = worth(points)
-        positive = lambda omega: np.count_nonzero(worth(omega) > 0, axis=1)
         count = np.count_nonzero(values > 0, axis=1)
         at = np.flatnonzero(count[1:] != count[:-1])
         at = at[: len(at) if len(at) <= MOST_JUMPS else 0]
-        low, high, left = points[at], points[at + 1], count[at]
-        rows, steps = np.arange(len(at)), np.linspace(0, 1, PARTS + 1)
-        for _ in range(CUTS if len(at) else 0):
-            points = low[:, None] + (high - low)[:, None] * steps
-            other = positive(points[:, 1:-1].ravel()).reshape(len(at), -1) != left[:, None]
-            first = np.where(other.any(axis=1), np.argmax(other, axis=1) + 1, PARTS)
-            low, high = points[rows, first - 1], points[rows, first]
-        return np.asarray(high, dtype=np.float64)
+        # The eigenvalue that changes its sign, or the first of those that do.
+        which = values.shape[1] - np.maximum(count[at], count[at + 1])
+        own = lambda omega, k: worth(omega)[np.arange(len(k)), which[k]]
+        return changes_of_sign(own, (points[at], points[at + 1]), (values[at, which], values[at + 1, which]))
+
+
+def changes_of_sign(
+    function: Callable[[NDArray[np.float64], NDArray[np.int64]], NDArray[np.float64]], ends: tuple[NDArray, NDArray],
+    values: tuple[NDArray, NDArray],
+) -> NDArray[np.float64]:  # fmt: skip
+    """Where each of several functions changes its sign between two ends (K,), to the last digits, by secants; the function takes one
+    point each for some of them, and which."""
+    low, high, below, above = (np.array(part, dtype=float) for part in (*ends, *values))
+    for k in range(CUTS):
+        least = 2 * np.finfo(float).eps * high
+        open_ones = np.flatnonzero(high - low > 2 * least)
+        if not len(open_ones):
+            break
+        a, b, fa, fb, least = (part[open_ones] for part in (low, high, below, above, least))
+        # A step beside the end that is nearly right goes past the change of sign, and closes the bracket.
+        near = np.minimum(least / (b - a), 0.5)
+        share = np.full(len(a), 0.5) if k % HALVED == HALVED - 1 else fa / (fa - fb)
+        middle = a + (b - a) * np.clip(share, near, 1 - near)
+        value = function(middle, open_ones)
+        # An end at 0 is on the side that is not positive, and keeps a sign for the secant.
+        value = np.where(value == 0, -TINY, value)
+        left = (value > 0) == (fa > 0)
+        low[open_ones], high[open_ones] = np.where(left, middle, a), np.where(left, b, middle)
+        below[open_ones], above[open_ones] = np.where(left, value, 0.5 * fa), np.where(left, 0.5 * fb, value)
+    return high

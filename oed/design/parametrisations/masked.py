@@ -51,8 +51,6 @@ RESOLVED = 1e-9
 """Accuracy of the integrals, relative: what the certificate's bound is lowered by; a tenth of the tolerance where that is less."""
 NEARLY = 1e-3
 """Gap below which the jumps of the density show well enough to try Newton's method on them."""
-FINE = 1e-7
-"""Tolerance that mixing densities does not reach in few rounds; at others Newton's method is tried where the gap does not fall."""
 FLAT = 2e-3
 """Relative gain of the bound in a quasi-Newton step, in units of the tolerance, below which it is the last."""
 AGAIN = 0.3
@@ -129,7 +127,7 @@ class _Search:
         panels = self.pricing.cut(panels, best)
         bound, kept, loss, stalled, near = self._bound(panels, best), None, np.inf, 0, NEARLY
         # Of an eigenvalue Newton's method takes many steps until the multiplicity shows, and mixing few rounds.
-        fine = self.tolerance < FINE and self.problem.criterion.method == "smooth"
+        smooth = self.problem.criterion.method == "smooth"
         for _ in range(MOST_ROUNDS):
             gap = max(loss / bound - 1, self.tolerance)
             columns, phi = self._columns(panels, found, pieces)
@@ -151,7 +149,7 @@ class _Search:
                 if proof > bound:
                     bound, best = proof, new[-1]
             polished = None
-            if self.tolerance < loss / bound - 1 < near and (fine or stalled):
+            if self.tolerance < loss / bound - 1 < near and (smooth or stalled):
                 near = AGAIN * (loss / bound - 1)
                 polished = polished_density(self.pricing, panels, best, self.accuracy)
             if polished is not None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,8 @@ LEFT = 0.3
 """Share of the slope along a step that may be left at its end: where a peak of the worth just touches 0 it grows like a root."""
 CLOSE = 1e-13
 """Norm of the conditions, in units in which a relative change of anything is a number, at which they hold."""
+ROUNDING = 1e-9
+"""Norm of the conditions below which a step that gains no digit is the last: rounding is all that is left."""
 DEPENDENT = 1e-12
 """Combinations of unknowns that move the conditions by less than this share are left alone: X as a whole may turn."""
 BESIDE = 1e-5
@@ -46,16 +49,23 @@ class Response:
     used: NDArray[np.float64]
 
 
-def polished_price(criterion: Criterion, respond: Callable[[Density], Response], one: Density) -> Density:
+Respond = Callable[..., Response]
+"""Of a price, and whether its changes are asked for too."""
+
+
+def polished_price(criterion: Criterion, respond: Respond, one: Density) -> Density:
     """The price at which the information of its own density is the one that it asks for, from one that is nearly right."""
     here = respond(one)
     size = np.sqrt(np.sum(one.X * (here.information @ one.X)) + one.nu * (1 - here.power))
     one = Density(one.X / size, one.nu / size**2)
     unit = _unit(one, here)
+    before = np.inf
     for _ in range(STEPS):
         residual, J = _conditions(criterion, one, here)
-        if np.linalg.norm(unit * residual) < CLOSE:
+        norm = float(np.linalg.norm(unit * residual))
+        if norm < CLOSE or (norm < ROUNDING and norm > 0.1 * before):
             break
+        before = norm
         # Of an eigenvalue the dual is not convex in X: down along every direction of curvature.
         values, vectors = np.linalg.eigh(J * np.outer(unit, unit))
         told = np.abs(values) > DEPENDENT * np.abs(values).max()
@@ -68,17 +78,17 @@ def polished_price(criterion: Criterion, respond: Callable[[Density], Response],
 
 
 def _least_along(
-    criterion: Criterion, respond: Callable[[Density], Response], one: Density, step: NDArray[np.float64], slope: float
+    criterion: Criterion, respond: Respond, one: Density, step: NDArray[np.float64], slope: float
 ) -> tuple[Density, Response] | None:  # fmt: skip
     """Where the dual is nearly least along a step in all unknowns, whose slope is given, and what is answered there."""
     low, high, above, length = 0.0, np.inf, 0.0, 1.0
     for _ in range(CUTS if slope < 0 else 0):
         moved = one.X + length * step[:-1].reshape(one.X.shape)
         trial = Density(moved, max(one.nu + length * float(step[-1]), 0.0))
-        there = respond(trial)
+        there = respond(trial, False)
         then = float(_conditions(criterion, trial, there, False)[0] @ step)
         if abs(then) <= LEFT * abs(slope) or (then < 0 and high == np.inf):
-            return trial, there
+            return trial, respond(trial)
         if then < 0:
             low = length
         else:
@@ -88,11 +98,12 @@ def _least_along(
 
 
 def _unit(one: Density, here: Response) -> NDArray[np.float64]:
-    """Of every unknown: its share of the curvature is 1."""
+    """Of every unknown: its share of the curvature is 1, where it has any: a density may tell nothing of a parameter."""
     g = here.G @ one.X
     own = 2 * np.diag(here.information)[:, None] + 4 * np.einsum("b,bns->ns", here.weight, g**2)
     price = float(here.weight @ here.used**2)
-    return np.append(own.ravel(), price if price > 0 else 1.0) ** -0.5
+    curved = np.append(own.ravel(), price)
+    return np.where(curved > 0, curved, 1.0) ** -0.5
 
 
 def _conditions(
@@ -105,7 +116,7 @@ def _conditions(
     residual = np.append((2 * M @ X - rise).ravel(), 1 - here.power if priced else 0.0)
     if not derivatives:
         return residual, np.zeros((0, 0))
-    g = (here.G @ X).reshape(len(here.G), -1)
+    g = (here.G @ X).reshape(len(here.G), X.size)
     H = np.zeros((X.size + 1,) * 2)
     H[:-1, :-1] = (
         2 * np.kron(M, np.eye(X.shape[1])) + 4 * (g.T * here.weight) @ g - criterion.log_derivatives(X)[1]
@@ -141,11 +152,20 @@ def responded(
     )
 
 
-def answer(pricing: Pricing, panels: Panels, one: Density) -> Response:
-    """What the density of a price answers to changes of it."""
+def answer(pricing: Pricing, panels: Panels, one: Density, changes: bool = True) -> Response:
+    """What the density of a price has, and what it answers to changes of it, which are most of the work."""
     jumps = pricing.jumps(panels, one)
     panels = pricing.cut_at(panels, jumps)
     phi = pricing.at(panels, one)[0]
+    if not changes:
+        none = np.zeros(0)
+        return Response(
+            pricing.told(panels, phi),
+            pricing.used(panels, phi),
+            np.zeros((0, *one.X.shape[:1] * 2)),
+            none,
+            none,
+        )
     step = BESIDE * pricing.problem.length_scale(jumps)
     # Among the nodes, which there always are.
     DR, R, values, vectors = pricing.within(np.append(panels.omega, jumps), one)
@@ -172,7 +192,7 @@ def polished_density(
     if panels.B is not None or one.X.size > LARGEST:
         return None
     try:
-        one = polished_price(pricing.problem.criterion, lambda trial: answer(pricing, panels, trial), one)
+        one = polished_price(pricing.problem.criterion, partial(answer, pricing, panels), one)
     except np.linalg.LinAlgError:
         return None
     panels = pricing.resolved(panels, one, accuracy)
