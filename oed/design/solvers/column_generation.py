@@ -116,7 +116,7 @@ def exchange(
     master = master or solve_weights
     columns = seed_columns(problem) if columns is None else columns
     criterion, start = problem.criterion, None
-    best, reference, stalled, tried = None, np.inf, 0, NEARLY
+    best, reference, own_reference, stalled, tried = None, np.inf, np.inf, 0, NEARLY
     status, rounds = Status.MAX_ITERATIONS, 0
     # A singular optimum leaves X free in many directions: what holds it there must not be dropped.
     free = criterion.method != "smooth" or not criterion.whole
@@ -141,8 +141,12 @@ def exchange(
         if finish is not None and tolerance < best.gap < tried:
             best = finish(best)
             tried, hints = AGAIN * best.gap, best.hints
-        stalled = 0 if best.gap < 0.8 * reference else stalled + 1
-        reference = best.gap if stalled == 0 else reference
+        # Where Newton's method has found a bound that the weights' own multipliers are still on the way to, they may pass it.
+        gained = best.gap < 0.8 * reference or here.gap < 0.8 * own_reference
+        stalled = 0 if gained else stalled + 1
+        reference, own_reference = (
+            (min(reference, best.gap), min(own_reference, here.gap)) if gained else (reference, own_reference)
+        )
         if best.gap <= tolerance or stalled >= PATIENCE:
             # Bounds of early rounds may have missed a maximum that the grid did not show then.
             bound, price, frequency = evaluated_bound(problem, best.X, best.nu, refine=refine)

@@ -21,6 +21,7 @@ from oed.information import information_of_spectrum
 from oed.plants.plant import Plant
 from tests.oed.design.test_design_random import random_plant
 from tests.oed.test_certificates_challenged import hard_plants
+from tests.oracles.certificates import hard_plant
 
 RNG = np.random.default_rng(0)
 CRITERIA = [
@@ -97,6 +98,15 @@ def test_small_parts_of_an_eigenvalues_certificate_are_kept(seed):
     assert design.certificate.check(points=20_001) <= 1 + 1e-8
     found = np.linalg.eigvalsh(design.information)[0]
     assert 1 / found == pytest.approx(design.loss, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_a_bound_that_newton_found_does_not_end_the_search_for_a_better_one():
+    """1.1e-8 open: six rounds whose own bound had not yet passed that of Newton's method were taken for the end, while it still rose."""
+    plant = hard_plant(np.random.default_rng([991, 2]), 2, 4)
+    design = solve_design(plant, "E", tolerance=1e-9)
+    assert design.status is Status.OK
+    assert design.certificate.check(points=20_001) <= 1 + 1e-8
 
 
 def columns_for_an_eigenvalue(plant):
