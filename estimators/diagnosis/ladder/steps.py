@@ -130,6 +130,10 @@ class Gain:
         errors, share = limit
         return self.beyond(errors) and self.share > share
 
+    def surely(self, limit: tuple[float, float]) -> bool:
+        """Whether it is so in squares and stretch by stretch: what one regression of these blocks does not see, another may by luck."""
+        return self.meets(limit) and self.value > limit[0] * self.error and self.steady > limit[0]
+
 
 @dataclass(frozen=True, eq=False)
 class Rung:
