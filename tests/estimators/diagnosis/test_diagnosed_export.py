@@ -79,7 +79,7 @@ NAMED = {
     "recycle": ("tf", [("recycle", [0.5, 6.0, 2.0, 7.3])], {"rest": False}),
     "on a timer": ("tf", [("waveform", [0.2, 0.3, 0.1, 0.2, -0.1], {"size": 2})], {}),
     "run up": ("tf", [("sweep_input", [0.2, 0.001, 0.3, 0.2, 1.5])], {}),
-    "scans": ("tf", [("input_scanned", [3.0, 1.0])], {"rest": False}),
+    "scans": ("tf", [("input_scanned", [3.0, 1.0])], {"rest": False}), "own scans": ("tf", [("input_scanned", [3.37, 1.2])], {"rest": False}),
     "sine": ("tf", [("output_sine", [0.9, 0.3]), ("input_sine", [0.8, 0.3])], {}),
     "worn": ("tf", [("gain_worn", [0.02, 0.6])], {"rest": False}),
     "on change": ("tf", [("reported_on_change", [0.3, 0.1])], {"rest": False}),

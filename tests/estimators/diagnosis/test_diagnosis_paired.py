@@ -14,7 +14,7 @@ from estimators.diagnosis.effects import Clock, named
 from estimators.diagnosis.ladder.claims import Claim, Named
 from estimators.diagnosis.ladder.figures import difference_figure, root_figure
 from estimators.diagnosis.ladder.held_out import _borne, removed
-from estimators.diagnosis.ladder.steps import Gain, Kind, Step
+from estimators.diagnosis.ladder.steps import Gain, Kind, Step, paired_gain
 from estimators.diagnosis.ladder.verdicts import _assumed
 from estimators.diagnosis.loop import diagnose
 from estimators.diagnosis.model.fitting import Channel
@@ -181,3 +181,21 @@ class Found:
 
     named: Named
     index: int = 0
+
+
+def test_a_gain_of_one_stretch_or_of_small_ones_alone_is_not_sure(rng) -> None:
+    """Half the error less everywhere is; a stretch with nearly all of the squares says nothing of the others, nor they of it."""
+    policy, n = Policy(), 2000
+    y, every = [np.zeros(n)], [np.ones(n, dtype=bool)]
+    small = rng.standard_normal(n)
+    large = np.where(np.arange(n) // 100 == 7, 30.0, 1.0) * small
+    often = 0.5 * small
+    once, elsewhere = (
+        np.where(np.abs(large) > np.abs(small), 0.5, 1.1) * large,
+        np.where(large == small, 0.5, 1.02) * large,
+    )
+    sure = lambda before, after: paired_gain(y, [before], [after], every, policy).surely((2.0, 0.05))
+    assert sure(small, often)
+    assert not sure(large, once)
+    assert not sure(large, elsewhere)
+    assert not sure(small, 0.97 * small)  # a share too small

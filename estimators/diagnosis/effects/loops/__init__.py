@@ -13,13 +13,13 @@ from estimators.diagnosis.effects.loops.limited import (
 from estimators.diagnosis.effects.loops.recycled import RECYCLE
 from estimators.diagnosis.effects.loops.remembering import (
     PLAYED,
-    SCANNED,
     SIDE_BY_SIDE,
     SLIDING,
     STAGED,
     STICTION,
     play_widths,
 )
+from estimators.diagnosis.effects.loops.scanned import SCANNED
 from estimators.diagnosis.effects.loops.stores import STORES
 
 __all__ = ["LOOPS", "PACES", "STORES", "play_widths", "slowest_rate"]

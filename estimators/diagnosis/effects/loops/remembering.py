@@ -1,4 +1,4 @@
-"""What remembers where it stood: a stem that sticks, plays side by side, a drive that scans its command."""
+"""What remembers where it stood: a stem that sticks, plays side by side, a second stage."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -13,8 +13,9 @@ from estimators.diagnosis.effects.added import begun_beside
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
 from estimators.diagnosis.effects.input import any_linear, aside, moved, told_beside
 from estimators.diagnosis.effects.loops.limited import PACES, slowest_rate
+from estimators.diagnosis.effects.loops.remade import remade
 from estimators.diagnosis.effects.output import mended
-from estimators.diagnosis.effects.profiled import BEGUN, CROSSED, ended, entering, firm, nearer, profile
+from estimators.diagnosis.effects.profiled import CROSSED, ended, entering, firm, nearer
 
 Array = NDArray[Any]
 STUCK, LEFT = np.linspace(0.1, 2.0, 234), np.linspace(0.0, 0.9, 7)
@@ -122,9 +123,7 @@ def _promising(channel: Any, base: Any, slides: bool, j: int, delay: int) -> lis
 def _sticking(slides: bool, channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     """Widths and shares on a grid, then ever closer to the best, each with poles of its own: the error jumps with every sample in
     which the stem does, so that no derivative leads there, and the linear model's poles stand for the stem too."""
-    from estimators.diagnosis.model.linear import fresh_poles, relinearised
-    from estimators.diagnosis.model.simulation import acted, simulate
-    from estimators.diagnosis.model.structure import Part, stable_polynomial
+    from estimators.diagnosis.model.structure import Part
 
     s, order, effect = base.structure, base.structure.order, (STICTION, SLIDING)[slides]
     ways = [
@@ -136,13 +135,8 @@ def _sticking(slides: bool, channel: Any, base: Any, others: tuple[int, ...]) ->
 
         def tried(shape: tuple[float, float, float], new: Any = new, su: float = su) -> tuple[float, Array]:
             width, left, start = shape
-            p = np.concatenate((base.p, [abs(width) * su, min(max(left, 0.0), 1.0), start]))
-            if (U := acted(new, p, channel.u, channel.clock)) is not None:
-                p[:order] = fresh_poles(channel.y, U, replace(new, parts=()), channel.keep)
-                if stable_polynomial(p[:order]) and (q := relinearised(channel, new, p)) is not None:
-                    error = channel.y - simulate(new, q, channel.u, channel.clock)
-                    return float(np.sum(error[channel.keep] ** 2)), q
-            return np.inf, p
+            own = [abs(width) * su, min(max(left, 0.0), 1.0), start]
+            return remade(channel, new, np.concatenate((base.p, own)))
 
         def best(
             shapes: Any, so_far: list[tuple[float, Array]], tried: Any = tried
@@ -234,53 +228,4 @@ STAGED = Effect(
     key="input_staged", cause="relay_with_hysteresis", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=100, reversing=True, search=_stages,
     sentence="a second stage comes on beside the input as it rises, and goes off at a lower level of it: a jump with hysteresis",
     parameters={"size": "u", "half_width": "u", "level": "u"}, apply=lambda x, p, clock: x + p[0] * _stage(x, p[1], p[2]),
-)  # fmt: skip
-
-SCANS = 40
-"""Samples between scans of a drive, at most: where they are further apart the record shows it by itself."""
-
-
-def _scanned(x: Array, p: Array, clock: Clock) -> Array:
-    """What was taken over at the last scan, every p[0] samples, one of them at sample p[1]; all whole numbers."""
-    every = round(float(p[0]))
-    if not 2 <= every <= SCANS:
-        return np.full(len(x), np.inf)
-    k = np.rint(clock.k).astype(np.int64)
-    taken = np.arange(len(x)) - (k - round(float(p[1]))) % every
-    return np.where(taken < 0, level_before(x), x[np.maximum(taken, 0)])
-
-
-def _scans(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """What a drive's age makes of the linear model's output, its mean left to the delay, against the residual, for every scan."""
-    from estimators.diagnosis.model.simulation import simulate
-    from estimators.diagnosis.model.structure import Part
-
-    s = base.structure
-    for j in s.inputs if s.layout == "tf" and not s.effects else ():
-        part, u = Part(SCANNED, j), channel.u
-
-        def ran(x: Array, j: int = j, u: Array = u) -> Array:
-            return simulate(s, base.p, np.column_stack((*u.T[:j], x, *u.T[j + 1 :])), channel.clock)[
-                channel.keep
-            ]
-
-        scores, e = [], base.residual[channel.keep]
-        for every in range(2, min(SCANS, len(u) // SCANS) + 1):
-            held = [_scanned(u[:, j], np.array([every, phase]), channel.clock) for phase in range(every)]
-            mean = ran(np.mean(held, axis=0))
-            for phase, x in enumerate(held):
-                d = ran(x) - mean
-                scores.append(
-                    (-(float(e @ d) ** 2) / max(float(d @ d), 1e-300), [float(every), float(phase)])
-                )
-        shapes = [shape for _, shape in sorted(scores, key=lambda score: score[0])[:BEGUN]]
-        found = profile(channel, base, part, shapes)
-        if found and firm(base, found[0][0]):
-            yield from ended(channel, base, part, [p for _, p in found], [0.0, 0.0])
-
-
-SCANNED = Effect(
-    key="input_scanned", cause="held_between_scans", nature=Nature.SAMPLING, slot=Slot.INPUT, trials=SCANS**2 / 2, search=_scans,
-    sentence="the input is taken over at scans of their own only, every so many samples, and kept until the next",
-    parameters={"period": "sample", "phase": "sample"}, apply=_scanned,
 )  # fmt: skip

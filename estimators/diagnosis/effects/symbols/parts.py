@@ -195,11 +195,12 @@ def _tones(w: Wiring, y: Any, p: Array, k: Any) -> Any:
 
 
 def _scanned(w: Wiring, x: Any, p: Array, k: Any) -> Any:
-    every, phase = round(float(p[0])), round(float(p[1]))
-    s = w.state(w.value(x))
-    since = k - phase - every * w.ca.floor((k - phase) / every)
-    s.after = w.ca.if_else(since < 0.5, x, s.x)
-    return s.after
+    every, phase = float(p[0]), float(p[1])
+    s, since = w.state(w.value(x)), k - phase - every * w.ca.floor((k - phase) / every)
+    held = w.ca.if_else(since == 0.0, x, s.x)
+    until = w.ca.fmin(every - since, 1.0)
+    s.after = w.ca.if_else(until < 1.0, x, held)
+    return until * held + (1.0 - until) * x
 
 
 def _in_turn(w: Wiring, x: Any, p: Array, k: Any) -> Any:
