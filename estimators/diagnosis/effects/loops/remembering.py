@@ -12,8 +12,8 @@ from scipy.signal import lfilter
 from estimators.diagnosis.effects.added import begun_beside
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
 from estimators.diagnosis.effects.input import any_linear, aside, moved, told_beside
+from estimators.diagnosis.effects.loops.anew import remade
 from estimators.diagnosis.effects.loops.limited import PACES, slowest_rate
-from estimators.diagnosis.effects.loops.remade import remade
 from estimators.diagnosis.effects.output import mended
 from estimators.diagnosis.effects.profiled import CROSSED, ended, entering, firm, nearer
 

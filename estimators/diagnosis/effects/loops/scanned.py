@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
-from estimators.diagnosis.effects.loops.remade import remade
+from estimators.diagnosis.effects.loops.anew import remade
 from estimators.diagnosis.effects.profiled import NEAREST, ended, firm
 
 Array = NDArray[Any]
