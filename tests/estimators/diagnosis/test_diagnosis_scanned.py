@@ -41,13 +41,15 @@ def test_a_drives_own_scans_are_found_to_a_fraction_of_a_sample(every: float, at
     n = 1000
     u = command(rng, n)
     y = polled(u, every, at) + 0.01 * rng.standard_normal(n)
-    channel = Channel(u[:, None], y, Clock(np.arange(float(n)), n), np.ones(n, dtype=bool))
+    # a record cut out of a longer one: its clock began before it
+    channel = Channel(u[:, None], y, Clock(5000.0 + np.arange(n), n), np.ones(n, dtype=bool))
     base = fit_linear(channel, Structure(2, delay=2))
     found = min(_scans(channel, base, ()), key=lambda f: float(np.sum(f.residual**2)))
-    turns = (at + every * np.floor((n - at) / every) - found.p[-1]) / found.p[
-        -2
-    ]  # to the last scan of the record
-    assert abs(turns - np.rint(turns)) * found.p[-2] < 0.3
+    period, phase = found.p[-2:]
+    turns = (
+        5000.0 + at + every * np.floor((n - at) / every) - phase
+    ) / period  # to the last scan of the record
+    assert abs(turns - np.rint(turns)) * period < 0.3
     assert np.std(found.residual) < 0.5 * np.std(base.residual)
 
 
@@ -83,3 +85,13 @@ def test_periods_are_read_off_one_spectrum(rng) -> None:
     (period, phase), *_ = _lines(u, held - u)
     assert period == pytest.approx(every, abs=every**2 / (10.0 * n))
     assert phase == pytest.approx(3.2, abs=0.6)
+
+
+def test_an_input_that_never_moves_has_no_scans() -> None:
+    n = 400
+    channel = Channel(
+        np.ones((n, 1)), np.sin(np.arange(n)), Clock(np.arange(float(n)), n), np.ones(n, dtype=bool)
+    )
+    moving = Channel(np.sin(0.3 * np.arange(n))[:, None], channel.y, channel.clock, channel.keep)
+    base = fit_linear(moving, Structure(2))
+    assert list(_scans(channel, base, ())) == []

@@ -67,7 +67,7 @@ def _lines(u: Array, back: Array) -> list[tuple[float, float]]:
 def _closer(channel: Any, structure: Any, best: tuple[float, Array]) -> tuple[float, Array]:
     """(sum of squares, parameters) with the scans moved for as long as the error falls, by ever smaller steps: their period about the middle
     of the record, all of them together, or both. Which sample a scan falls into has no derivative."""
-    middle, size = 0.5 * len(channel), 1.0
+    middle, size = channel.clock.k[0] + 0.5 * len(channel), 1.0
     while size > NEAREST:
         every, at = best[1][-2:]
         period = 0.5 * size * every / middle * every  # moves the scans at the ends by half a period
@@ -95,8 +95,9 @@ def _scans(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
 
         e, level = np.where(channel.keep, base.residual, 0.0), float(np.mean(u[:, j]))
         lines = _lines(u[:, j] - level, np.flip(ran(np.flip(e)) - ran(np.zeros(n))))
+        lines = [(every, channel.clock.k[0] + at) for every, at in lines]
         whole = [(np.rint(every), np.rint(at)) for every, at in lines if 2.0 <= np.rint(every) <= SCANS]
-        for delay in sorted({0, s.delay}):  # what is scanned looks late to a linear model
+        for delay in sorted({0, s.delay}) if lines else ():  # what is scanned looks late to a linear model
             bare, found = replace(base, structure=replace(s, delay=delay)), []
             new = bare.structure.adding(part)
             for places, aside in ((lines, ASIDE), (whole, 2.0 * np.array(ASIDE))):
