@@ -2,7 +2,7 @@
 #
 #   make setup     the environment in $(VENV), from the hash-checked lock; again only when the lock or pyproject.toml change
 #   make compare   the main job: comparison tables, figures and report in results/compare
-#   make test      the tests (under 8 minutes on 2 cores);  make test PYTEST_ARGS="-k spectrum -x"
+#   make test      the tests (13 minutes on 2 quiet cores, three times that on slow ones);  make test PYTEST_ARGS="-k spectrum -x"
 #   make lint      ruff, pyright, import-linter
 #   make validate  the tests that are too long for `make test`; writes validation.json
 #   make fuzz      hostile files, documents and arguments, $(FUZZ) of them (100000; `make test` has a fixed thousand)

@@ -239,7 +239,7 @@ def _outcome(
         steps.append(whole.heard(bench.inverse and bench.echoes(named.step.unused[0])))
         named = replace(named, step=steps[-1])
     if (step := terms.step()) is not None:
-        steps.append(step.heard(bench.echoes(step.unused[0])))
+        steps.append(step.heard(bench.hears(step)))
     y = [np.nan_to_num(r.y[:, i]) for r in records]
     counted = [bench.counted, *(c[:, i] for c in base.blocks.counting(records)[1:])]
     started = as_started(steps, train, i, setting.skip)

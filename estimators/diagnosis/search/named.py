@@ -147,6 +147,11 @@ class Bench:
         weak = not gain.meets(policy.searched)
         return (self.feedback and weak) or (self.inverse and not gain.meets(policy.overwhelming))
 
+    def hears(self, step: Step) -> bool:
+        """Whether a step may only hear that answer, or is the inverse of a controller: it acts at once, and the linear model later."""
+        late = self.feedback and min(self.base.outputs[self.output].delays) > 0
+        return (late and step.at_once(self.train, self.base.blocks.window)) or self.echoes(step.unused[0])
+
     @cached_property
     def _inputs(self) -> Predictor:
         return Predictor.of([self.train], self.base.y_model[:1], self.output, [self.counted], past=False)
