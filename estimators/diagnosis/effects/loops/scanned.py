@@ -67,10 +67,11 @@ def _lines(u: Array, back: Array) -> list[tuple[float, float]]:
 def _closer(channel: Any, structure: Any, best: tuple[float, Array]) -> tuple[float, Array]:
     """(sum of squares, parameters) with the scans moved for as long as the error falls, by ever smaller steps: their period about the middle
     of the record, all of them together, or both. Which sample a scan falls into has no derivative."""
-    middle, size = channel.clock.k[0] + 0.5 * len(channel), 1.0
+    half, size = 0.5 * len(channel), 1.0
+    middle = channel.clock.k[0] + half
     while size > NEAREST:
         every, at = best[1][-2:]
-        period = 0.5 * size * every / middle * every  # moves the scans at the ends by half a period
+        period = 0.5 * size * every / half * every  # moves the scans at the ends by half a period
         around = ([every + a * period, at - a * period * np.rint((middle - at) / every) + 0.5 * b * size]
                   for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0) if a or b)  # fmt: skip
         tried = (remade(channel, structure, np.concatenate((best[1][:-2], shape))) for shape in around)
