@@ -204,4 +204,7 @@ def nothing_left(problem: Problem, point: Point) -> bool:
 def _once(problem: Problem) -> NDArray[np.int64]:
     """The columns of the inputs, delayed, each once: in several outputs they come again."""
     width = problem.data.shape[1] - 1 - problem.structure.n_outputs
-    return np.sort(np.unique(problem.data[:, :width], axis=1, return_index=True)[1])
+    first: dict[bytes, int] = {}  # np.unique of columns makes a field of each sample: 10 ms for 4000 of them
+    for j, column in enumerate(problem.data[:, :width].T):
+        first.setdefault(column.tobytes(), j)
+    return np.array(list(first.values()), dtype=np.int64)
