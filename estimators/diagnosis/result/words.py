@@ -38,6 +38,7 @@ PLAIN = {
     "gain_heat.share": "relative change of the gain per squared input", "stiffness_heat.share": "relative change of the stiffness per squared input",
     "hysteresis.share": "share that bends off", "recycle.share": "share that comes back", "slower": "time constant that it goes round through", "quicker": "second time constant", "first": "bend at the lower end", "last": "bend at the upper end", "range": "range of the input's integral",
     "leak": "rate that leaks", "full": "full level", "store.level": "input that keeps it", "store_empty.level": "input that keeps it", "store_full.level": "input that keeps it",
+    "resistance": "rate at which the flow ends by itself", "least_flow": "flow that it cannot go below", "start_flow": "flow off its rest at the start", "start_level": "level off its rest at the start",
     "store.start": "what is in it at the start", "store_empty.start": "what is in it at the start", "store_full.start": "what is in it at the start",
     "integral_curve.least": "least of the input's integral", "integral_curve.start": "input's integral before the start",
     "first_rate": "steepness at the lower end", "last_rate": "steepness at the upper end", "memory": "time constant",

@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 from estimators.diagnosis.baseline.blocks import Blocks
 from estimators.diagnosis.baseline.linear_model import FAR, LinearModel, Prior
 from estimators.diagnosis.effects import Clock, Slot
-from estimators.diagnosis.effects.loops import STORES
+from estimators.diagnosis.effects.loops import FLOWS, STORES
 from estimators.diagnosis.effects.path import INITIAL, STORE_CURVE
 from estimators.diagnosis.effects.sensing import REPORTED
 from estimators.diagnosis.model.fitting import Channel, Fit, fit, levenberg_marquardt
@@ -149,6 +149,9 @@ def free_run(f: Shaped, u: Array, clock: Clock, y: Array, window: int, start: St
     told = np.isfinite(y[: max(window, 0)]).any()
     if told:
         f = _as_told(f, u[:window], Clock(clock.k[:window], clock.length), y[:window], start)
+    for at, part in enumerate(f.structure.parts):
+        if part.effect in FLOWS and not told:
+            f = _beginning(f, at, 0.0, 0.0)  # it forgets how the training record began
     run = _begun(f, u, clock, start)
     if not np.all(np.isfinite(run)):
         return run
@@ -186,10 +189,10 @@ def _as_told(f: Shaped, u: Array, clock: Clock, y: Array, start: Start) -> Shape
     return f
 
 
-def _beginning(f: Shaped, at: int, value: float) -> _Moved:
-    """The model with another start, the last parameter, of one of its parts."""
-    p = f.p.copy()
-    p[f.structure.slices()[at].stop - 1] = value
+def _beginning(f: Shaped, at: int, *values: float) -> _Moved:
+    """The model with another start, the last parameters, of one of its parts."""
+    p, last = f.p.copy(), f.structure.slices()[at].stop
+    p[last - len(values) : last] = values
     return _Moved(f.structure, p)
 
 
@@ -220,20 +223,51 @@ def _as_full(f: Shaped, at: int, u: Array, clock: Clock, y: Array, start: Start)
     """A model with a store between ends, as full as the window says, by steps from where the training record began, from its ends and from
     between them."""
     q, flow = f.p[f.structure.slices()[at]], u[:, f.structure.parts[at].channel]
-    left = _left(f, u, clock, y, start)
-    # as far as it may go in the window: from there it meets no end
     reach = float(np.sum(np.abs(flow - q[1])))
-    move, tried = max(ASIDE * reach, 1e-300), []
-    for level in (float(q[-1]), 0.0, *map(abs, q[2:-1]), reach, -reach):
+    levels = (
+        float(q[-1]),
+        0.0,
+        *map(abs, q[2:-1]),
+        reach,
+        -reach,
+    )  # as far as it may go in the window: from there it meets no end
+    return _stepped(f, at, u, clock, y, start, np.array(levels)[:, None], reach, np.inf)
+
+
+def _as_flowing(f: Shaped, at: int, u: Array, clock: Clock, y: Array, start: Start) -> Shaped:
+    """A model with a flow that cannot turn back, as far off its rest as the window says, which few samples leave at rest."""
+    q = f.p[f.structure.slices()[at]]
+    far = max(float(np.ptp(u[:, f.structure.parts[at].channel])), float(np.abs(q[3:]).max()))
+    return _stepped(f, at, u, clock, y, start, np.stack((np.zeros(2), q[4:])), far, far)
+
+
+def _stepped(f: Shaped, at: int, u: Array, clock: Clock, y: Array, start: Start, firsts: Array, far: float, wide: float) -> Shaped:  # fmt: skip
+    """The model from the best of some starts (m, n) of a part, each after Gauss-Newton steps on the window; `far` what it may move there,
+    `wide` how far it is off zero by itself, a standard deviation."""
+    left, count = _left(f, u, clock, y, start), firsts.shape[1]
+    move, still, tried = max(ASIDE * far, 1e-300), np.sqrt(start.prior.noise) / max(wide, 1e-300), []
+    for value in firsts:
         for _ in range(STEPS):
-            model, more, less = (_beginning(f, at, level + d) for d in (0.0, move, -move))
-            error, slope = left(model), (left(more) - left(less)) / (2.0 * move)
+            model = _beginning(f, at, *value)
+            ways = move * np.eye(count)
+            slopes = [
+                left(_beginning(f, at, *(value + d))) - left(_beginning(f, at, *(value - d))) for d in ways
+            ]
+            error = np.concatenate((left(model), -still * value))
             tried.append((_squares(error), model))
-            level -= float(np.nan_to_num(slope @ error / max(slope @ slope, 1e-300)))
+            slope = np.concatenate((np.stack(slopes, axis=1) / (2.0 * move), -still * np.eye(count)))
+            if not (np.all(np.isfinite(error)) and np.all(np.isfinite(slope))):
+                break
+            value = value - np.linalg.lstsq(slope, error, rcond=None)[0]
     return min(tried, key=lambda entry: entry[0])[1]
 
 
-TOLD = {STORE_CURVE: _filled, REPORTED: _as_read, **dict.fromkeys(STORES, _as_full)}
+TOLD = {
+    STORE_CURVE: _filled,
+    REPORTED: _as_read,
+    **dict.fromkeys(STORES, _as_full),
+    **dict.fromkeys(FLOWS, _as_flowing),
+}
 """Effects with a start of their own, and how a window says what it is."""
 
 

@@ -1,5 +1,5 @@
-"""Rigs with a gear that has play, a transmitter that follows at limited rates, and stores that run full or empty: simulated as in
-`case_classes`."""
+"""Rigs with a gear that has play, a transmitter that follows at limited rates, stores that run full or empty, flows that cannot turn back:
+simulated as in `case_classes`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,17 @@ import numpy as np
 
 from tests.estimators.diagnosis.case_parts import FINE, lag, linear
 
-__all__ = ["buffer", "cistern", "driveline", "engine", "joint", "overflowing", "transmitter"]
+__all__ = [
+    "buffer",
+    "cistern",
+    "drained",
+    "driveline",
+    "engine",
+    "joint",
+    "overflowing",
+    "rectified",
+    "transmitter",
+]
 
 
 def _through_a_gear(u, a, seen):
@@ -69,3 +79,24 @@ def cistern(u, a):
 
 def overflowing(u, a):
     return _filling(u, a, -np.inf, 6.0)
+
+
+def _one_way(u, a, way):
+    """A flow with inertia through a valve that lets it pass one way only, into a vessel that leaks, read with a lag."""
+    drive, v = way * u, way * u[0] * 0.3 / 0.314
+    flow, out = 0.14 / 3.0 * v, np.zeros(len(u))
+    for k, value in enumerate(drive):
+        out[k] = way * v
+        for _ in range(FINE):
+            flow += (0.3 * (value - v) - 0.1 * flow) / FINE
+            flow = max(flow, 0.0) if a else flow
+            v += (0.3 * flow - 0.014 * v) / FINE
+    return lag(out, 0.4)
+
+
+def rectified(u, a):
+    return _one_way(u, a, 1.0)
+
+
+def drained(u, a):
+    return _one_way(u, a, -1.0)

@@ -5,7 +5,7 @@ import pytest
 
 from estimators.diagnosis.baseline.linear_model import Prior
 from estimators.diagnosis.effects import Clock, named
-from estimators.diagnosis.effects.kernels.loop_kernels import COURSE, geared, steered_loop, stored
+from estimators.diagnosis.effects.kernels.loop_kernels import COURSE, flowing, geared, steered_loop, stored
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.search.free_runs import Start, _Moved, free_run
@@ -82,3 +82,49 @@ def test_a_record_says_how_full_its_store_is_at_its_start(key, ends, levels):
         assert np.max(np.abs(run - y)) < 0.05
         untold = free_run(_Moved(s, p), u, clock, np.full(200, np.nan), 20, start)
         assert np.max(np.abs(untold - y)) > 1.0
+
+
+@pytest.mark.parametrize("leak", [0.0, 0.05])
+def test_a_flow_that_cannot_turn_back_is_its_differential_equation(leak):
+    """Against two thousand Euler's steps to a sample, from off its rest; before the record it waits there; nothing jumps with the end."""
+    rng = np.random.default_rng(8)
+    u, h, plain = np.repeat(rng.uniform(0.0, 3.0, 12), 15), 1.0 / 2000, []
+    w, r, least = 0.3, 0.1, 0.05 if leak else -0.5
+    v = 1.0 * w**2 / (w**2 + r * leak) - 0.2
+    i, ends = leak * (v + 0.2) / w + 0.1, 0
+    for value in u:
+        for _ in range(2000):
+            i, v = max(i + h * (w * (value - v) - r * i), least), v + h * (w * i - leak * v)
+            ends += i == least
+        plain.append(v)
+    run = lambda end, lead=0: flowing(
+        np.concatenate((np.full(lead, 5.0), u)), np.array([w, r, leak]), 1.0, end, np.array([0.1, -0.2]), lead
+    )
+    assert 0.1 < ends / (2000 * len(u)) < 0.9
+    assert np.max(np.abs(run(least) - plain)) < 0.005 * np.ptp(plain)
+    assert np.array_equal(run(least, 7)[7:], run(least))
+    slope = lambda d: (run(least + d) - run(least)) / d
+    assert np.max(np.abs(slope(1e-6) - slope(1e-3))) < 0.1 * np.max(np.abs(slope(1e-3)))
+
+
+@pytest.mark.parametrize(("key", "way"), [("flow_up", 1.0), ("flow_down", -1.0)])
+def test_a_record_says_how_its_flow_begins(key, way):
+    """Whatever the training record began with, in the window; without one, from rest, and few samples leave it there."""
+    rng = np.random.default_rng(5)
+    u, clock = way * np.repeat(rng.uniform(0.0, 3.0, 20), 10)[:, None], Clock(np.arange(200.0), 200)
+    s = Structure(1).adding(Part(named(key)))
+    p = np.array([-0.3, 0.7, 0.25, 0.1, 0.02, 0.0, 1.0, -1.0])
+    start = Start(Prior(0.0, 0.9 ** np.arange(64.0), 1e-4), rest=False, error=1e-4)
+    for begun in ([0.0, 0.0], [0.6, 0.4]):
+        at = lambda begun=begun: np.append(p[:-2], way * np.array(begun))
+        y = simulate(s, at(), u, clock) + 0.01 * rng.standard_normal(200)
+        run = free_run(_Moved(s, p), u, clock, y, 20, start)
+        assert np.max(np.abs(run - y)) < 0.05
+    at_rest, since = (
+        simulate(s, np.append(p[:-2], [0.0, 0.0]), u, clock),
+        slice(30, None),
+    )  # its filter has settled
+    untold = free_run(_Moved(s, p), u, clock, np.full(200, np.nan), 20, start)
+    assert np.allclose(untold[since], at_rest[since])
+    one = np.where(np.arange(200) < 1, untold + 0.01, np.nan)
+    assert np.max(np.abs(free_run(_Moved(s, p), u, clock, one, 1, start) - untold)) < 0.05

@@ -190,3 +190,43 @@ def stored(signal, leak, level, ends, lead):  # pragma: no cover - compiled
             x = min(max(stays * x + fills * (signal[k] - level), ends[0]), ends[1])
         out[k] = x
     return out
+
+
+@compiled
+def flow_at_rest(p, start, least):  # pragma: no cover - compiled
+    """Flow and level that have settled under `start`."""
+    w, leak = p[0] ** 2, p[2]
+    level = start * w / (w + p[1] * leak)
+    flow = max(leak * level / p[0], least)
+    return np.array([flow, p[0] * flow / leak if leak > 0.0 else level])
+
+
+@compiled
+def flowing(signal, p, start, least, begun, lead):  # pragma: no cover - compiled
+    """Level at the end of each sample that a flow with inertia fills, i' = w (u - v) - r i and v' = w i - g v, where the flow is held at
+    or above its least.
+
+    p: w, r, g. It begins `begun` (2,) off what has settled under `start`, and waits there for `lead` samples. `WITHIN` steps per
+    sample, exact but for the ones in which the flow meets its end: without it and with it, in the shares of an even way.
+    """
+    out = np.empty_like(signal)
+    h, w, leak = 1.0 / WITHIN, p[0], p[2]
+    a, column = np.array([[-p[1], -w], [w, -leak]]), np.array([[w], [0.0]])
+    phi, gamma = held_response(a, column, h)
+    x = flow_at_rest(p, start, least) + begun
+    x[0] = max(x[0], least)
+    for k in range(signal.shape[0]):
+        for _ in range(WITHIN if k >= lead else 0):
+            flow = phi[0, 0] * x[0] + phi[0, 1] * x[1] + gamma[0, 0] * signal[k]
+            level = phi[1, 0] * x[0] + phi[1, 1] * x[1] + gamma[1, 0] * signal[k]
+            if flow < least:
+                share = (x[0] - least) / (x[0] - flow) if x[0] > least else 0.0
+                level = x[1] + share * (level - x[1])
+                left = (1.0 - share) * h
+                stays = np.exp(-leak * left)
+                level = stays * level + w * least * ((1.0 - stays) / leak if leak > 1e-9 else left)
+                flow = least
+            x[0], x[1] = flow, level
+        if not written(out, k, x[1]):
+            return out
+    return out

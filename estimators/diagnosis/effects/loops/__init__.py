@@ -1,5 +1,6 @@
 """Hidden loops between the input and the linear part, and what remembers there."""
 
+from estimators.diagnosis.effects.loops.flows import FLOWS
 from estimators.diagnosis.effects.loops.geared import GEARED
 from estimators.diagnosis.effects.loops.limited import (
     COURSED,
@@ -22,7 +23,7 @@ from estimators.diagnosis.effects.loops.remembering import (
 from estimators.diagnosis.effects.loops.scanned import SCANNED
 from estimators.diagnosis.effects.loops.stores import STORES
 
-__all__ = ["LOOPS", "PACES", "STORES", "play_widths", "slowest_rate"]
+__all__ = ["FLOWS", "LOOPS", "PACES", "STORES", "play_widths", "slowest_rate"]
 
 LOOPS = (
     SCANNED,
@@ -39,4 +40,5 @@ LOOPS = (
     RECYCLE,
     *GEARED,
     *STORES,
+    *FLOWS,
 )

@@ -6,8 +6,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.effects.kernels.loop_kernels import COURSE, geared_at_rest, geared_matrices
+from estimators.diagnosis.effects.kernels.loop_kernels import (
+    COURSE,
+    flow_at_rest,
+    geared_at_rest,
+    geared_matrices,
+)
+from estimators.diagnosis.effects.kernels.plant_kernels import held_response
 from estimators.diagnosis.effects.kernels.recursion_kernels import WITHIN
+from estimators.diagnosis.effects.loops.flows import FLOWS, of_flow
 from estimators.diagnosis.effects.loops.geared import GEARED, of_drive
 from estimators.diagnosis.effects.loops.stores import STORES, ends_of
 from estimators.diagnosis.effects.sensing.rates import limits
@@ -134,9 +141,35 @@ def _stored(ends: tuple[float, float]) -> Callable[[Wiring, Any, Array], Any]:
     return stored
 
 
+def _flowed(way: float) -> Callable[[Wiring, Any, Array], Any]:
+    def flowed(w: Wiring, x: Any, p: Array) -> Any:
+        ca, h, (plant, least, _) = w.ca, 1.0 / WITHIN, of_flow(p, way)
+        fast, _, leak = map(float, plant)
+        phi, gamma = held_response(
+            np.array([[-plant[1], -fast], [fast, -leak]]), np.array([[fast], [0.0]]), h
+        )
+        s = w.state(flow_at_rest(plant, way * w.value(x), least))
+        after = s.x
+        for _ in range(WITHIN):
+            free = ca.mtimes(phi, after) + gamma[:, 0] * way * x
+            fallen = after[0] - free[0]
+            share = ca.if_else(
+                after[0] > least, (after[0] - least) / ca.if_else(fallen == 0.0, 1.0, fallen), 0.0
+            )
+            level, left = after[1] + share * (free[1] - after[1]), (1.0 - share) * h
+            stays = ca.exp(-leak * left)
+            level = stays * level + fast * least * ((1.0 - stays) / leak if leak > 1e-9 else left)
+            held = ca.vertcat(least, level)
+            after = ca.if_else(free[0] < least, held, free)
+        s.after = after
+        return way * after[1]
+
+    return flowed
+
+
 LOOPED: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
     "rate_limit": _servo(1), "rate_limit_sampled": _servo(0), "rate_limit_servo": _servo(1), "wind_up": _wound_up, "relay_feedback": _switched,
     "rate_in_loop": _steered(0), "rate_of_loop": _steered(1), "rate_in_course": _steered(COURSE),
     "sensor_rate": _trailed, **{e.key: _geared(*how) for e, how in GEARED.items()},
-    **{e.key: _stored(ends) for e, ends in STORES.items()},
+    **{e.key: _stored(ends) for e, ends in STORES.items()}, **{e.key: _flowed(way) for e, way in FLOWS.items()},
 }  # fmt: skip
