@@ -139,17 +139,17 @@ def diagnose(
     outcomes = [
         _outcome(records, i, base, plain, part, shares[i], terms[i], setting) for i, part in enumerate(parts)
     ]
+    settled = [settling(first, o, base, setting.policy) for o in outcomes]
+    outcomes = [o.by_the_clock(first) if c else o for o, c in zip(outcomes, settled, strict=True)]
     held = _held_out(first, test, outcomes, setting)
     outcomes = [o.standing(step) for o, step in zip(outcomes, held.answered, strict=True)]
     outcomes = [_outside_the_loop(o, test, held, setting) for o in outcomes]
     outcomes = [_bent_after_all(o, first, test, held, setting) for o in outcomes]
     lacks = [
-        settling(first, o, base, setting.policy) or lacking(records, o, base, n, asked, setting.policy)
-        for o, n in zip(outcomes, orders, strict=True)
+        c or lacking(records, o, base, n, asked, setting.policy)
+        for c, o, n in zip(settled, outcomes, orders, strict=True)
     ]
-    stated = [
-        (o, c) for found in (moving, lacks) for o, c in zip(outcomes, found, strict=True) if c is not None
-    ]
+    stated = [(o, c) for found in (moving, lacks) for o, c in zip(outcomes, found, strict=True) if c]
     return _diagnosis(records, test, base, outcomes, held, setting, stated)
 
 

@@ -268,6 +268,22 @@ class LinearModel:
         ahead = self._told(prior, self.driven(u), u, y[:REACH])
         return replace(self, begun=ahead[: self.order][::-1])
 
+    def later(self, prior: Prior, samples: int) -> tuple["LinearModel", Prior]:
+        """The model and the prior of a record that begins so many samples after the training record did, by then nearer to its rest by
+        itself."""
+        if samples <= 0 or not 0.0 < self.radius < 1.0:
+            return self, prior
+        rest = self.level(prior.held)
+
+        def past(before: Array) -> Array:
+            gone = self.run(np.zeros(samples), before - rest)
+            return rest + np.concatenate((gone[::-1], before - rest))[: self.order]
+
+        held = lambda level: float(past(np.full(self.order, level))[0])
+        begun = past(self.begun) if len(self.begun) else self.begun
+        by_then = replace(prior, level=held(prior.level), first=held(prior.first))
+        return replace(self, begun=begun), by_then
+
     def _told(self, prior: Prior, driven: Array, u: Array, y: Array) -> Array:
         """(n + w,) outputs before a record and in a window of it, as far as the window's samples (w,) tell of them."""
         n, w = self.order, len(y)

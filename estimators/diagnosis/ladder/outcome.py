@@ -19,6 +19,7 @@ from estimators.diagnosis.search.examination import Examined
 from estimators.diagnosis.search.named import CLOCKED, INDEPENDENT
 from estimators.diagnosis.share import Share
 from oed.covariances import NORMAL
+from oed.data import Record
 
 FAILED = "its run on the test record is no answer"
 UNSURE = "unused blocks are not surely better with it"
@@ -52,6 +53,13 @@ class Outcome:
     def value(self, kind: Kind) -> float:
         """Least error on unused blocks of the steps of a kind; infinite where there is none."""
         return min((r.value for r in self.ladder.rungs if r.step.kind is kind), default=np.inf)
+
+    def by_the_clock(self, train: Record) -> Outcome:
+        """With a linear model whose level settles on the training record's clock: no other record begins with it anew."""
+        rungs = self.ladder.rungs
+        answer = replace(rungs[0].step.answer, since=(train.t0, train.dt))
+        first = replace(rungs[0], step=replace(rungs[0].step, answer=answer))
+        return replace(self, ladder=replace(self.ladder, rungs=(first, *rungs[1:])))
 
     def standing(self, step: Step) -> Outcome:
         """With the step that stands on a record as the answer, in place of one that does not, whose names go with it; a linear one

@@ -71,6 +71,8 @@ class LinearAnswer:
     rest: bool = (
         False  # where no sample tells its state, a record starts at rest, as the training record seems to
     )
+    # time of the first training sample, and sampling time, where what is left there of a level settles by itself on that clock
+    since: tuple[float, float] | None = None
 
     @property
     def untold(self) -> Prior:
@@ -81,7 +83,12 @@ class LinearAnswer:
         """(N,) free run."""
         u, y = record.u[:, list(self.inputs)], record.y[:, self.output]
         prior = self.prior if np.isfinite(y[:window]).any() else self.untold
-        return self.model.free_run(prior, u, y, window)
+        model, late = (
+            self.model,
+            0 if self.since is None else round((record.t0 - self.since[0]) / self.since[1]),
+        )
+        model, prior = model.later(prior, late)
+        return model.free_run(prior, u, y, window)
 
     def symbols(self, w: Wiring) -> Any:
         """A filter whose states are those of the transposed direct form."""
@@ -94,7 +101,7 @@ class LinearAnswer:
         m = {"den": self.model.den.tolist(), "num": self.model.num.tolist(), "constant": self.model.constant,
              "moved": self.model.moved.tolist(), "begun": self.model.begun.tolist()}  # fmt: skip
         return {"kind": "linear", "output": self.output, "inputs": list(self.inputs), "model": m,
-                "prior": _plain(asdict(self.prior)), "rest": self.rest}  # fmt: skip
+                "prior": _plain(asdict(self.prior)), "rest": self.rest, "since": self.since}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,9 +266,11 @@ def _linear_of(data: dict[str, Any]) -> LinearAnswer:
     m = data["model"]
     late = (np.array(m.get(name, ())) for name in ("moved", "begun"))
     model = LinearModel(np.array(m["den"]), np.array(m["num"]), m["constant"], *late)
+    since = data.get("since")
     return LinearAnswer(
-        data["output"], tuple(data["inputs"]), model, _prior_of(data["prior"]), data.get("rest", False)
-    )
+        data["output"], tuple(data["inputs"]), model, _prior_of(data["prior"]), data.get("rest", False),
+        None if since is None else (since[0], since[1]),
+    )  # fmt: skip
 
 
 def read_answer(data: dict[str, Any], effects: tuple[Effect, ...] = CATALOGUE) -> Answer:

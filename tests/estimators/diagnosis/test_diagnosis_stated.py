@@ -134,6 +134,21 @@ def test_a_slow_pole_that_no_input_drives_is_a_level_that_settles(own):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("again", [False, True], ids=["on one clock", "switched on again"])
+def test_a_level_that_settles_has_settled_by_the_next_record_on_its_clock(again):
+    """A sensor that warms up from the first sample of the training record on, which rests there; only another clock begins anew."""
+    rng, records = np.random.default_rng(2), []
+    for start, n in ((0, 1200), (1290, 600)):
+        u = np.concatenate((np.zeros(25), np.repeat(rng.uniform(-1.0, 1.0, n // 20), 20)[: n - 25])) + 4.0
+        x = 4.0 * 0.2 / np.sum(POLES) + lfilter([0.0, 0.2], POLES, u - 4.0)
+        level = 2.0 * x.std() * np.exp(-(np.arange(n) + start * (not again)) / 370.0)
+        records.append(Record(u, x - level + 0.03 * x.std() * rng.standard_normal(n), t0=float(start)))
+    found = diagnose(*records, Setting(separate=again, effort=Effort.QUICK))
+    assert found.effect == "output_drift"
+    assert found.rmse_after.value < 0.05 * records[1].y.std()
+
+
+@pytest.mark.slow
 def test_a_level_that_few_samples_at_rest_leave_is_part_of_the_linear_model():
     """Deviations from the mean of ten samples of slow noise, under an input of two levels: u + c u^2 is a level there, and no curve."""
     rng, records = np.random.default_rng(6), []
