@@ -127,13 +127,10 @@ OUTPUT = (
 
 SHIFTS = (0.5, 1.0, 1.8, 2.8, 4.0, 5.5)  # samples by which the clocks are apart in the end
 PACES, LEAST_PACE = (0.1, 0.25, 0.6), 0.02  # of the record: memories of a clock that settles
-JUMPS = (1.0, 2.0, 3.0, 5.0)  # samples lost at once
-TIMES = 12  # of a jump, over the record
 AGES = (0.1, 0.4, 1.0, 2.0)  # logarithms of the gain lost over the record
 CARRIED = (1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 11.0, 15.0, 20.0, 27.0, 36.0, 50.0)  # fmt: skip
 """Samples that a belt takes at its mean speed: a third more from one to the next, as the best is looked for closer."""
 LEAST_FLOW = 1e-3  # of the mean: what stands still takes for ever
-EDGE = 0.07  # of the record, at either end of which no jump is looked for
 NOTHING = 1.02  # of the linear model's squared error, that the best shape may leave before it is fitted
 
 
@@ -142,13 +139,6 @@ def read_at(y: Array, at: Array) -> Array:
     from estimators.diagnosis.effects.kernels.spline_kernels import read_between
 
     return read_between(np.ascontiguousarray(y, dtype=float), np.ascontiguousarray(at, dtype=float))
-
-
-def _jumped(y: Array, p: Array, clock: Clock) -> Array:
-    # all samples are out of step, or none: a delay, or nothing
-    if not EDGE < p[1] / clock.length < 1.0 - EDGE:
-        return np.full(len(y), np.inf)
-    return read_at(y, np.arange(len(y)) + p[0] * np.clip(clock.k - p[1], 0.0, 1.0))
 
 
 def in_step(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array] | None:
@@ -306,16 +296,6 @@ CONVEYED = Effect(
     search=mended(lambda: CONVEYED, _ways, lambda c, best: [[best[0] * f, best[1]] for f in (0.8, 0.9, 1.1, 1.25)],
                    lambda c: [float(np.mean(np.abs(c.u))), 0.0], _unconveyed, late=False),
 )  # fmt: skip
-LOST = Effect(
-    key="lost_samples", cause="lost_samples", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, linear=True, ahead=True, trials=0.1,
-    per_sample=True, sentence="samples of the output are lost, or come twice, and what follows is out of step",
-    parameters={"samples": "1", "time": "sample"}, apply=_jumped,
-    search=mended(lambda: LOST, lambda c: [[sign * d, t * len(c)] for t in np.linspace(0.08, 0.92, TIMES) for d in JUMPS[:2]
-                                           for sign in (1.0, -1.0)],
-                   lambda c, best: [[d, best[1] + t * len(c)] for d in {best[0], np.sign(best[0]) * JUMPS[2]}
-                                    for t in np.linspace(-0.07, 0.07, 9)]),
-)  # fmt: skip
-
 FALSE = 1e-4  # chance of a line of the age where there is none, over all frequencies
 # lines tried; phases of each; periods about each, in its resolution
 LINES, PHASES, NEAR = (3, 8, np.linspace(-1.0, 1.0, 9))
@@ -396,4 +376,4 @@ REFRESHED = Effect(
     parameters={"period": "sample", "phase": "sample"}, apply=_refreshed, search=_ages,
 )  # fmt: skip
 
-TIMING = (DRIFT, INTERLEAVED, WARMING, LOST, REFRESHED, DECAY, CONVEYED)
+TIMING = (DRIFT, INTERLEAVED, WARMING, REFRESHED, DECAY, CONVEYED)

@@ -122,6 +122,21 @@ def test_a_clock_that_is_set_right_every_so_many_samples_has_that_period():
     assert found.p[-1] == pytest.approx(3.0, abs=0.05)
 
 
+def test_samples_that_are_lost_several_times_are_counted_each_time():
+    """Three jumps, one of them back: all are found, and a fourth is not."""
+    rng = np.random.default_rng(3)
+    u, k = excitation(rng, N), np.arange(float(N))
+    y = read(u, np.maximum(k - 2.4 * (k > 200) + 1.3 * (k > 380) - 2.1 * (k > 520), 0.0))
+    y = y + NOISE * np.std(y) * rng.standard_normal(N)
+    channel = Channel(u[:, None], y, Clock(k, N), np.ones(N, dtype=bool))
+    base = fit_linear(channel, replace(Structure(2, (0,)).adding(Part(OFFSET)).adding(Part(INITIAL)), base=2))
+    found = min(augmented(channel, base, Menu((named("lost_samples"),))), key=error)
+    jumps = found.p[found.structure.slices()[-1]].reshape(-1, 2)
+    by_time = jumps[np.argsort(jumps[:, 1])]
+    assert by_time[:, 0] == pytest.approx([-2.4, 1.3, -2.1], abs=0.05)
+    assert by_time[:, 1] == pytest.approx([200.0, 380.0, 520.0], abs=1.5)
+
+
 @pytest.mark.parametrize("key, of", ALL_LOOKALIKES)
 def test_a_class_does_not_explain_what_only_looks_like_it(key, of):
     found, _, noise = fits(key, of)

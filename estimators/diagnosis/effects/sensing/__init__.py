@@ -1,10 +1,11 @@
 """What a sensor makes of its signal, in which samples and by which clock."""
 
 from estimators.diagnosis.effects.sensing.gains import CARRIED, LEVELLED
+from estimators.diagnosis.effects.sensing.jumps import LOST
 from estimators.diagnosis.effects.sensing.rates import TRAILING
 from estimators.diagnosis.effects.sensing.sensors import BANDED, PACED, REPORTED, SINE, SLIPPED, SWUNG, TREADS
 from estimators.diagnosis.effects.sensing.turns import TURNS
 
 __all__ = ["REPORTED", "SENSORS"]
 
-SENSORS = (SINE, REPORTED, PACED, TREADS, BANDED, TURNS, LEVELLED, CARRIED, SWUNG, SLIPPED, TRAILING)
+SENSORS = (SINE, REPORTED, PACED, TREADS, BANDED, TURNS, LEVELLED, CARRIED, SWUNG, SLIPPED, TRAILING, LOST)
