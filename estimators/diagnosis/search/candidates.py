@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from estimators.diagnosis.effects import CATALOGUE, Effect, Nature, Slot
 from estimators.diagnosis.effects.profiled import gained
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
-from estimators.diagnosis.model.linear import layout_starts
+from estimators.diagnosis.model.linear import fit_linear, layout_starts
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.record.measurement import switched
 from estimators.diagnosis.search.starts import Start, fitted, renewed, scored
@@ -107,10 +107,12 @@ def _scanned(
     """Fits with each effect whose starts come from scores."""
     s = base.structure
     tasks: list[_Task] = []
+    sooner = _sooner(channel, base) if any(e.alone for e in wanted) else []
     for e in wanted:
         if e.slot is not Slot.PLANT:
-            for j in s.inputs if e.slot is Slot.INPUT else s.inputs[:1]:
-                tasks += _scan(channel, base, base, Part(e, j), best)
+            for model in (base, *(sooner if e.alone else ())):
+                for j in s.inputs if e.slot is Slot.INPUT else s.inputs[:1]:
+                    tasks += _scan(channel, base, model, Part(e, j), best)
     plant = [e for e in wanted if e.slot is Slot.PLANT]
     several = len(s.inputs) > 1
     if several:  # how the other inputs enter would change with the rates
@@ -142,6 +144,14 @@ def _scanned(
     yield from _refined_fits(
         channel, base, [e for e in plant if e.refines], simple, layouts, most, iterations
     )
+
+
+def _sooner(channel: Channel, base: Fit) -> list[Fit]:
+    """The linear model with less of its delay, and with none: what takes the place of its dynamics looks late to it."""
+    s = base.structure
+    if s.layout != "tf" or s.effects:
+        return []
+    return [fit_linear(channel, replace(s, delay=d)) for d in {s.delay // 2, 0} if d < s.delay]
 
 
 def _explained(channel: Channel, base: Fit, fits: list[Fit]) -> bool:
