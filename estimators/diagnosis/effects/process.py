@@ -50,6 +50,8 @@ UNLOADED, LOADS, STALLED = 4, (-0.9, -0.5, 0.0, 0.5, 0.9), 1e-3
 share of a rate that the heaviest load leaves."""
 BUMPS = ((3.0, 0.0, 0.4), (3.0, -0.7, 0.4), (3.0, 0.7, 0.4), (2.0, -1.5, 2.0), (2.0, 1.5, 2.0))
 """Of a capacity that depends on the level: how much more it is at most, where, and how wide that is, in standard deviations of the input."""
+SLIPS, DRAGS = (0.1, 0.3, 0.8), (0.02, 0.3)
+"""Of the input's standard deviation, the difference that what slips passes on at most; what takes from it, of how fast it nears its input."""
 THINNEST = -0.95  # of a capacity, what its level may take away
 LEAST = 1e-300  # a difference that no quotient by it leaves without a number
 LEAST_FLOW = 1e-3  # of the mean flow: what stands still takes for ever
@@ -374,6 +376,9 @@ PROCESS = (
              "its time constant, a capacity, is another one near one level: heat that melts, a vessel that widens, iron that saturates",
              lambda p, v, u, q, s, c: (u - p) * (1.0 - 1.0 / (1.0 + np.maximum(c[0], THINNEST) * np.exp(-(((p - c[1]) / c[2]) ** 2)))),
              {"more": "1", "level": "u", "width": "u"}, _bumps),
+    _process("slipping", "slip", "what drives it slips: beyond a limit a belt, a clutch, a tyre passes on no more",
+             lambda p, v, u, q, s, c: u - p - np.maximum(np.abs(c[0]), LEAST) * np.tanh((u - p) / np.maximum(np.abs(c[0]), LEAST)) + c[1] * p,
+             {"limit": "u", "loss": "1"}, lambda s: _shapes(s, *map(list, product(SLIPS, DRAGS)), sizes=[s.su, 1.0])),
     THROUGH,
     SERVO,
     FILLED,

@@ -107,7 +107,7 @@ def _scanned(
     """Fits with each effect whose starts come from scores."""
     s = base.structure
     tasks: list[_Task] = []
-    sooner = _sooner(channel, base) if any(e.alone for e in wanted) else []
+    sooner = _sooner(channel, base) if any(e.alone or e.slot is Slot.PLANT for e in wanted) else []
     for e in wanted:
         if e.slot is not Slot.PLANT:
             for model in (base, *(sooner if e.alone else ())):
@@ -117,7 +117,7 @@ def _scanned(
     several = len(s.inputs) > 1
     if several:  # how the other inputs enter would change with the rates
         plant = [e for e in plant if e.change is None and not s.effects]
-    layouts = _layouts(channel, base) if plant else []
+    layouts = [f for model in (base, *sooner) for f in _layouts(channel, model)] if plant else []
     if several:
         layouts = sorted(layouts, key=lambda f: f.deviance)[:FORMS]
     for layout in layouts:
@@ -287,8 +287,9 @@ def _refined_fits(
         parents = [f for f in parents if base.deviance - f.deviance > max(SHARE * most, 10.0)]
         if not parents:
             continue
-        near = min(parents, key=lambda f: f.deviance).structure.layout
-        layout = next((f for f in layouts if f.structure.layout == near and e.fits(near)), None)
+        near = min(parents, key=lambda f: f.deviance).structure
+        alike = lambda s, near=near: (s.layout, s.delay) == (near.layout, near.delay)
+        layout = next((f for f in layouts if alike(f.structure) and e.fits(near.layout)), None)
         if layout is not None:
             found = scored(channel, layout, Part(e, layout.structure.inputs[0]), 2)
             for f in _least(fitted(channel, base, found.starts, QUICK)):

@@ -99,7 +99,10 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
     near = _nearest(bench, options)
     if all(_loose(n, n.claims[:1]) for n in near):
         beaten = lambda n: any(_dominates(bench, m, n) for m in options)
-        options = [n for n in options if not _loose(n) and not beaten(n)] or options
+        # an effect at its limit is another one, which explains as much
+        limit = HALF * options[0].step_error(bench)
+        firm = [n for n in options if not _loose(n) and not beaten(n) and n.step_error(bench) <= limit]
+        options = firm or options
         near = _nearest(bench, options)
     best = min(
         near, key=lambda n: (_loose(n), bent(n.claims[0]), len(n.claims), len(n.fit.p), n.step_error(bench))

@@ -231,31 +231,34 @@ def _as_full(f: Shaped, at: int, u: Array, clock: Clock, y: Array, start: Start)
         reach,
         -reach,
     )  # as far as it may go in the window: from there it meets no end
-    return _stepped(f, at, u, clock, y, start, np.array(levels)[:, None], reach, np.inf)
+    return _stepped(f, at, _left(f, u, clock, y, start), np.array(levels)[:, None], reach)
 
 
 def _as_flowing(f: Shaped, at: int, u: Array, clock: Clock, y: Array, start: Start) -> Shaped:
     """A model with a flow that cannot turn back, as far off its rest as the window says, which few samples leave at rest."""
     q = f.p[f.structure.slices()[at]]
-    far = max(float(np.ptp(u[:, f.structure.parts[at].channel])), float(np.abs(q[3:]).max()))
-    return _stepped(f, at, u, clock, y, start, np.stack((np.zeros(2), q[4:])), far, far)
+    far = max(float(np.ptp(u[:, f.structure.parts[at].channel])), float(np.abs(q[3:]).max()), 1e-300)
+    still = float(np.sqrt(start.prior.noise)) / far
+    return _stepped(f, at, _left(f, u, clock, y, start), np.stack((np.zeros(2), q[4:])), far, still)
 
 
-def _stepped(f: Shaped, at: int, u: Array, clock: Clock, y: Array, start: Start, firsts: Array, far: float, wide: float) -> Shaped:  # fmt: skip
-    """The model from the best of some starts (m, n) of a part, each after Gauss-Newton steps on the window; `far` what it may move there,
-    `wide` how far it is off zero by itself, a standard deviation."""
-    left, count = _left(f, u, clock, y, start), firsts.shape[1]
-    move, still, tried = max(ASIDE * far, 1e-300), np.sqrt(start.prior.noise) / max(wide, 1e-300), []
+def _stepped(
+    f: Shaped, at: int, left: Callable[[Shaped], Array], firsts: Array, far: float, still: float = 0.0
+) -> Shaped:
+    """The model from the best of some starts (m, n) of a part, each after Gauss-Newton steps on what is left of a window; `far` what it may
+    move there, `still` by how much it leaves more, per unit off zero."""
+    move, count, tried = max(ASIDE * far, 1e-300), firsts.shape[1], []
     for value in firsts:
         for _ in range(STEPS):
             model = _beginning(f, at, *value)
-            ways = move * np.eye(count)
-            slopes = [
-                left(_beginning(f, at, *(value + d))) - left(_beginning(f, at, *(value - d))) for d in ways
+            ways = [
+                (_beginning(f, at, *(value + d)), _beginning(f, at, *(value - d)))
+                for d in move * np.eye(count)
             ]
             error = np.concatenate((left(model), -still * value))
             tried.append((_squares(error), model))
-            slope = np.concatenate((np.stack(slopes, axis=1) / (2.0 * move), -still * np.eye(count)))
+            slope = np.stack([(left(more) - left(less)) / (2.0 * move) for more, less in ways], axis=1)
+            slope = np.concatenate((slope, -still * np.eye(count)))
             if not (np.all(np.isfinite(error)) and np.all(np.isfinite(slope))):
                 break
             value = value - np.linalg.lstsq(slope, error, rcond=None)[0]

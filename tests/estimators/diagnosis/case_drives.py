@@ -16,6 +16,7 @@ __all__ = [
     "joint",
     "overflowing",
     "rectified",
+    "slipping_belt",
     "transmitter",
 ]
 
@@ -79,6 +80,17 @@ def cistern(u, a):
 
 def overflowing(u, a):
     return _filling(u, a, -np.inf, 6.0)
+
+
+def slipping_belt(u, a):
+    """A shaft that a belt drives, by no more than its friction bears."""
+    x, out = 0.0, np.zeros(len(u))
+    for k, value in enumerate(u):
+        out[k] = x
+        for _ in range(FINE):
+            pull = 0.4 * (value - x)
+            x += ((0.15 * np.tanh(pull / 0.15) if a else pull) - 0.04 * x) / FINE
+    return lag(out, 0.4)
 
 
 def _one_way(u, a, way):

@@ -15,6 +15,7 @@ from tests.estimators.diagnosis.case_drives import (
     joint,
     overflowing,
     rectified,
+    slipping_belt,
     transmitter,
 )
 from tests.estimators.diagnosis.case_parts import FINE, lag, linear, read, sensor, swing
@@ -348,7 +349,7 @@ ALL_CLASSES = CLASSES | {
     "rate_in_course": (steered_ship, 3, {"hold": 40, "size": 0.5}), "automatic_gain": (compressed, 2, {}), "output_gain_periodic": (beating, 2, {}),
     "sensor_rate": (transmitter, 3, {}), "geared_servo": (joint, 4, {"hold": 15}), "geared_load": (driveline, 3, {"hold": 15}), "geared_motor": (engine, 3, {"hold": 15}),
     "store": (buffer, 2, {"hold": 15}), "store_empty": (cistern, 2, {"hold": 15}), "store_full": (overflowing, 2, {"hold": 15}),
-    "flow_up": (rectified, 3, {"hold": 15, "mean": 1.0}), "flow_down": (drained, 3, {"hold": 15, "mean": -1.0}),
+    "slipping": (slipping_belt, 2, {"hold": 10}), "flow_up": (rectified, 3, {"hold": 15, "mean": 1.0}), "flow_down": (drained, 3, {"hold": 15, "mean": -1.0}),
     "recycle": (recycled, 2, {}), "waveform": (on_a_timer, 2, {}), "stiction_sliding": (slid, 2, {"hold": 2}),
 }  # fmt: skip
 
@@ -359,7 +360,7 @@ ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     ("clearance_sprung", "geared_servo"), ("rate_in_loop", "geared_load"), ("geared_load", "stiction"),
     ("store", "wind_up"), ("wind_up", "store"), ("store", "relay_feedback"), ("relay_feedback", "store"), ("store", "rate_limit_servo"), ("rate_limit_servo", "store"),
     ("store_empty", "store_full"), ("store_full", "store_empty"), ("store_empty", "output_cutoff"), ("store_full", "output_ratio"), ("rate_in_loop", "store"),
-    ("store_empty", "flow_up"), ("flow_up", "rise_and_fall"), ("rise_and_fall", "flow_up"), ("flow_up", "wind_up"), ("rate_in_loop", "flow_down"),
+    ("slipping", "rise_and_fall"), ("slipping", "loss_cubic"), ("rise_and_fall", "slipping"), ("outflow_root", "slipping"), ("store_empty", "flow_up"), ("flow_up", "rise_and_fall"), ("rise_and_fall", "flow_up"), ("flow_up", "wind_up"), ("rate_in_loop", "flow_down"),
     ("flow_down", "output_cutoff"), ("stiction", "flow_up"), ("rate_limit_servo", "flow_up"), ("rate_of_loop", "flow_up"),
     ("stiction", "stiction_sliding"), ("stiction_sliding", "plays"), ("clearance", "stiction_sliding"),
     ("recycle", "rate_in_loop"), ("recycle", "interleaved"), ("rate_in_loop", "recycle"), ("relay_feedback", "recycle"), ("delay_periodic", "recycle"), ("recycle", "lag_drift"),

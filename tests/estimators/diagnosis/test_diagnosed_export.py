@@ -89,6 +89,7 @@ NAMED = {
     "time": ("tf", [("gain_drift", [0.3]), ("drift", [0.1, 0.2]), ("tones", [0.2, 0.3, 0.1]), ("sweep", [0.1, 0.01, 0.2, 0.1])],
              {}),
     "step": ("tf", [("step_input", [0.5, 40.3])], {"clock": (-30.0, 0.5, 300)}),
+    "belt": ("tf", [("slipping", [0.4, 0.3, 0.1])], {"rest": False}),
     "process": ("tf", [("orifices", [0.3, 1.5, 0.05])], {}),
     "vessel": ("tf", [("vessel", [0.3, 1.0, 0.4])], {"rest": False}),
     "cut-off": ("tf", [("output_cutoff", [0.1, -0.2])], {}),
