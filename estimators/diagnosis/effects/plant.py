@@ -193,7 +193,7 @@ PLANT = (
              {"cascade": (1, 0), "driven": (0, 0, 1), "sensed": (0, 0, 1)}),
     _changed("loss_change", "a loss or a stiffness changes abruptly, and the gain with it", "log_loss",
              {"first": (1, -1), "oscillator": (1, 0, -1), "cascade": (1, 0, -1), "chain": (1, 0, -1), "driven": (1, 0, 0, -1),
-              "sensed": (1, 0, 0, -1)}),
+              "sensed": (1, 0, 0, -1), "modes": (1, 0, 0, 0, -1)}),
 )  # fmt: skip
 
 

@@ -165,16 +165,20 @@ def changed_states(
     shifted = rates + np.array(change[: len(rates)]) * size
     scale = float(np.exp(sum(change[len(rates) :]) * size))
     driving = np.where(np.arange(len(x0)) == DRIVING.get(layout, -1), scale, 1.0)
+    driven = scale * u
+    if layout == "modes" and scale != 1.0:  # of two modes side by side, the second is driven as before
+        shifted = np.concatenate((shifted, [0.0, 0.0, 0.0, np.exp(np.clip(rates[2], *RATES))]))
+        driven = np.stack((driven, u - driven), axis=1)
     at = q[1] - clock.k[0]
     if at <= 0:
-        return states(layout, shifted, scale * u, inside, x0)
+        return states(layout, shifted, driven, inside, x0)
     if at >= len(u) - 1:
         return states(layout, rates, u, inside, x0)
     whole = int(np.floor(at))
     early = states(layout, rates, u[: whole + 2], inside.between(0, whole + 2), x0)
     runs = []
     for t in (whole, whole + 1):
-        later = states(layout, shifted, scale * u[t:], inside.between(t, None), driving * early[t])
+        later = states(layout, shifted, driven[t:], inside.between(t, None), driving * early[t])
         runs.append(np.concatenate((early[:t], later)))
     with np.errstate(invalid="ignore"):  # states that diverge are infinite, and 0 times that is no number
         return (1.0 - (at - whole)) * runs[0] + (at - whole) * runs[1]

@@ -1,4 +1,4 @@
-"""Light modes of several inputs: their delays, and where a record of them starts."""
+"""Light modes: of several inputs, their delays and where a record of them starts; of two, one that changes."""
 
 from dataclasses import replace
 
@@ -10,6 +10,8 @@ from estimators.diagnosis.baseline import Options, best_linear, blocks_of
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.baseline.regression import Arx
 from estimators.diagnosis.baseline.search import Search
+from estimators.diagnosis.effects import Clock, named
+from estimators.diagnosis.model.layouts import NOTHING, changed_states, states
 from oed.data import Record
 
 
@@ -90,3 +92,24 @@ def test_a_long_arx_is_of_the_records_that_are_searched():
     form = Arx(1, 1, (1,), False)
     assert search._long(form) is search._long(form)
     assert replace(search, records=other)._long(form) is not search._long(form)
+
+
+def test_of_two_modes_side_by_side_only_the_one_that_changes_is_driven_as_by_its_new_stiffness():
+    """A joint that comes loose: against both modes alone, each with its own held input and what it was when that came."""
+    rng, at, size = np.random.default_rng(4), 60, np.log(0.7)
+    rates, u = np.log([0.09, 0.03, 0.4, 0.05]), rng.standard_normal(150)
+    change = named("loss_change").change["modes"]
+    both = changed_states(
+        "modes",
+        rates,
+        u,
+        NOTHING,
+        change,
+        np.array([size, float(at)]),
+        Clock(np.arange(150.0), 150),
+        np.zeros(4),
+    )
+    first = states("oscillator", rates[:2], u[: at + 1])
+    later = states("oscillator", rates[:2] + [size, 0.0], np.exp(-size) * u[at:], x0=first[at])
+    assert np.allclose(both[:, :2], np.concatenate((first[:at], later)))
+    assert np.allclose(both[:, 2:], states("oscillator", rates[2:], u))
