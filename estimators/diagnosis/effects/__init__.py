@@ -5,7 +5,7 @@ These files import the rooms of the model and the search inside functions only, 
 
 from estimators.diagnosis.effects.added import ADDED, NOISE
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Sizes, Slot
-from estimators.diagnosis.effects.folding import FOLDING
+from estimators.diagnosis.effects.fed import SEVERAL
 from estimators.diagnosis.effects.input import INPUT
 from estimators.diagnosis.effects.loops import LOOPS
 from estimators.diagnosis.effects.output import OUTPUT, TIMING
@@ -15,12 +15,13 @@ from estimators.diagnosis.effects.process import PROCESS
 from estimators.diagnosis.effects.profiled import PROFILED
 from estimators.diagnosis.effects.rotation import ROTATION
 from estimators.diagnosis.effects.sensing import SENSORS
+from estimators.diagnosis.effects.sensing.folding import FOLDING
 from oed.errors import InputError
 
 __all__ = ["CATALOGUE", "Clock", "Effect", "Nature", "Sizes", "Slot", "named"]
 
 CATALOGUE: tuple[Effect, ...] = (
-    *INPUT, *PROFILED, *LOOPS, *PROCESS, *PLANT, *ROTATION, *MODULATED, *PATH, *STORE, *OUTPUT, *FOLDING, *SENSORS, *TIMING, *ADDED, *NOISE,
+    *INPUT, *PROFILED, *LOOPS, *PROCESS, *SEVERAL, *PLANT, *ROTATION, *MODULATED, *PATH, *STORE, *OUTPUT, *FOLDING, *SENSORS, *TIMING, *ADDED, *NOISE,
 )  # fmt: skip
 """Every effect that the diagnosis knows; hand in more with `diagnose(..., effects=[*CATALOGUE, mine])`."""
 

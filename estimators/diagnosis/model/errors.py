@@ -119,7 +119,8 @@ def _followed(f: Fit, channel: Channel, known: Spread, at: int, error: float) ->
     def rise(t: float) -> float:
         y = simulate(f.structure, f.p + t * way, channel.u, channel.clock)
         r = np.where(channel.keep, channel.y - y, 0.0)
-        return float(np.sum(innovations(r, f.weight) ** 2)) - least if np.isfinite(y[-1]) else np.inf
+        with np.errstate(over="ignore"):  # of a run that is about to explode they are infinite
+            return float(np.sum(innovations(r, f.weight) ** 2)) - least if np.isfinite(y[-1]) else np.inf
 
     low, high = PARABOLA
     if all(low * height < rise(side) < high * height for side in (1.0, -1.0)):

@@ -8,12 +8,14 @@ import numpy as np
 from tests.estimators.diagnosis.case_parts import FINE, lag, linear
 
 __all__ = [
+    "basin",
     "buffer",
     "cistern",
     "drained",
     "driveline",
     "engine",
     "joint",
+    "melting",
     "overflowing",
     "rectified",
     "slipping_belt",
@@ -80,6 +82,24 @@ def cistern(u, a):
 
 def overflowing(u, a):
     return _filling(u, a, -np.inf, 6.0)
+
+
+def _fed(u, a, move):
+    """A level that two inputs feed, read with a lag; its motion with the effect or without."""
+    x, out = u[0, 0] + 0.6 * u[0, 1], np.zeros(len(u))
+    for k, (one, other) in enumerate(u):
+        out[k] = x
+        for _ in range(FINE):
+            x += move(one + 0.6 * other, x, a) / FINE
+    return lag(out, 0.4)
+
+
+def basin(u, a):
+    return _fed(u, a, lambda f, x, a: 0.1 * (f - (np.sqrt(6.4 * max(x, 0.0)) if a else x)))
+
+
+def melting(u, a):
+    return _fed(u, a, lambda f, x, a: 0.15 * (f - x) / (1.0 + 4.0 * a * np.exp(-(((x - 6.5) / 0.5) ** 2))))
 
 
 def slipping_belt(u, a):
