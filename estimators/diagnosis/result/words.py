@@ -17,7 +17,7 @@ PLAIN = {
     "wear": "resistance per unit that has passed", "power": "power", "gain_worn.power": "power of the resistance that the gain falls with", "use": "use by the input", "change": "relative change", "start": "time of the start",
     "end": "time of the end", "behind": "lag behind the actuator", "plant": "pole of its plant", "input_kink.c": "steepness c at zero",
     "output_absolute.c": "half the difference of the gains, c", "outflow_root.k": "outflow coefficient k", "vessel.k": "outflow coefficient k",
-    "reported_on_change.start": "reading at the start, off the signal", "backlash_input.start": "place in the play at the start", "stiction.start": "place in the play at the start", "stiction_sliding.start": "place in the play at the start",
+    "reported_on_change.start": "reading at the start, off the signal", "reported_in_time.start": "reading at the start, off the signal", "backlash_input.start": "place in the play at the start", "stiction.start": "place in the play at the start", "stiction_sliding.start": "place in the play at the start",
     "plays.start": "place in the plays at the start", "plays_output.start": "place in the plays at the start", "multiplexed.place": "place in the cycle", "multiplexed.lag": "time constant of the one whose turn it is",
     "clock_slips.place": "place in the period at the start", "slip": "what it is late by in the end",
     "acts_since.centre": "level about which it acts so", "acts_since.state": "state from which it does", "input_staged.size": "what the second stage adds", "band": "way past the middle between two steps", "output_ranges.slope": "excess of the gain above the level",

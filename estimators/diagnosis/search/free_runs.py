@@ -15,7 +15,7 @@ from estimators.diagnosis.baseline.linear_model import FAR, LinearModel, Prior
 from estimators.diagnosis.effects import Clock, Slot
 from estimators.diagnosis.effects.loops import FLOWS, STORES
 from estimators.diagnosis.effects.path import INITIAL, STORE_CURVE
-from estimators.diagnosis.effects.sensing import REPORTED
+from estimators.diagnosis.effects.sensing import REPORTING
 from estimators.diagnosis.model.fitting import Channel, Fit, fit, levenberg_marquardt
 from estimators.diagnosis.model.layouts import LAYOUTS, layout_matrices
 from estimators.diagnosis.model.simulation import simulate
@@ -267,7 +267,7 @@ def _stepped(
 
 TOLD = {
     STORE_CURVE: _filled,
-    REPORTED: _as_read,
+    **dict.fromkeys(REPORTING, _as_read),
     **dict.fromkeys(STORES, _as_full),
     **dict.fromkeys(FLOWS, _as_flowing),
 }

@@ -44,12 +44,12 @@ def play(signal, half_width, start=0.0):  # pragma: no cover - compiled
 
 
 @compiled
-def reported(signal, least, start):  # pragma: no cover - compiled
-    """The signal as last reported: before the record as `start`, then wherever it is further from that than the least step."""
+def reported(signal, least, start, beaten):  # pragma: no cover - compiled
+    """The signal as last reported: before the record as `start`, then wherever it is further from that than the least step, or `beaten`."""
     out = np.empty_like(signal)
     last = start
     for k in range(signal.shape[0]):
-        if abs(signal[k] - last) > least:
+        if beaten[k] or abs(signal[k] - last) > least:
             last = signal[k]
         out[k] = last
     return out

@@ -3,9 +3,10 @@
 from estimators.diagnosis.effects.sensing.gains import CARRIED, LEVELLED
 from estimators.diagnosis.effects.sensing.jumps import LOST
 from estimators.diagnosis.effects.sensing.rates import TRAILING
-from estimators.diagnosis.effects.sensing.sensors import BANDED, PACED, REPORTED, SINE, SLIPPED, SWUNG, TREADS
+from estimators.diagnosis.effects.sensing.reports import REPORTING
+from estimators.diagnosis.effects.sensing.sensors import BANDED, PACED, SINE, SLIPPED, SWUNG, TREADS
 from estimators.diagnosis.effects.sensing.turns import TURNS
 
-__all__ = ["REPORTED", "SENSORS"]
+__all__ = ["REPORTING", "SENSORS"]
 
-SENSORS = (SINE, REPORTED, PACED, TREADS, BANDED, TURNS, LEVELLED, CARRIED, SWUNG, SLIPPED, TRAILING, LOST)
+SENSORS = (SINE, *REPORTING, PACED, TREADS, BANDED, TURNS, LEVELLED, CARRIED, SWUNG, SLIPPED, TRAILING, LOST)

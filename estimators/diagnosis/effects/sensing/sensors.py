@@ -17,56 +17,6 @@ from estimators.diagnosis.effects.output import KEPT, in_step, mended, quickly_m
 from estimators.diagnosis.effects.profiled import FINEST, ended, firm, of_order, profile
 
 Array = NDArray[Any]
-STILL, REPORTS = 0.4, 20
-"""Share of the samples in which the reading stands, and moves at least, of a sensor that reports changes only."""
-CLEAR_OF = 6.0
-"""Of the spread of the steps from sample to sample, from which on one is a report: the others are noise, or none."""
-LEAST_STEPS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.35)
-"""Quantiles of the reports' steps at which the least change that is reported may lie: most are larger, as the signal moves on."""
-
-
-def _reported(x: Array, p: Array, clock: Clock) -> Array:
-    from estimators.diagnosis.effects.kernels.recursion_kernels import reported
-
-    return reported(np.ascontiguousarray(x), abs(float(p[0])), float(x[0] + p[1]))
-
-
-def _reports(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """A linear model of the samples that were reported, which are the signal itself, and the least step that leaves least."""
-    from estimators.diagnosis.model.fitting import fit
-    from estimators.diagnosis.model.simulation import simulate
-    from estimators.diagnosis.model.structure import Part
-
-    s, keep = base.structure, channel.keep
-    if s.layout != "tf" or s.effects or np.mean(keep) < KEPT:
-        return
-    steps = np.abs(np.diff(channel.y))
-    moved = steps > CLEAR_OF * 1.4826 * np.median(steps)
-    if not (REPORTS <= moved.sum() <= (1.0 - STILL) * len(steps)):
-        return
-    seen = np.concatenate(([True], moved))
-    f = fit(replace(channel, keep=seen & keep), s, base.p, base.scales, iterations=40, colour=False)
-    new = s.adding(Part(REPORTED, s.inputs[0]))
-
-    def left(p: Array) -> float:
-        return float(np.sum((channel.y - simulate(new, p, channel.u, channel.clock)) ** 2))
-
-    first = int(np.argmax(moved)) + 1
-    off = float(np.mean(channel.y[:first])) - float(simulate(s, f.p, channel.u, channel.clock)[0])
-    found = [np.append(f.p, [size, off]) for size in np.quantile(steps[moved], LEAST_STEPS)]
-    best = min(found, key=left)
-    near = [np.append(f.p, [best[-2] * factor, off]) for factor in np.linspace(0.85, 1.15, 31)]
-    best = min(near, key=left)
-    scales = np.append(f.scales, [0.05 * best[-2], 0.05 * best[-2]])
-    yield fit(channel, new, best, scales, noise=base.noise, iterations=10)
-
-
-REPORTED = Effect(
-    key="reported_on_change", cause="report_on_change", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, trials=12,
-    sentence="the sensor reports a change of more than a least step only, and stands in between", apply=_reported,
-    parameters={"least_step": "y", "start": "y"}, search=_reports,
-)  # fmt: skip
-
 CHANGES = (-0.6, -0.3, 0.3, 0.6)
 """Relative changes of a sensor's rate per standard deviation of what it reads, that are tried."""
 

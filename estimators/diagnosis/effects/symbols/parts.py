@@ -194,6 +194,13 @@ def _tones(w: Wiring, y: Any, p: Array, k: Any) -> Any:
     return y + sum(a * np.cos(f * k) + b * np.sin(f * k) for f, a, b in p.reshape(-1, 3))
 
 
+def _beaten(w: Wiring, x: Any, p: Array, k: Any) -> Any:
+    every = max(abs(float(p[1])), 1.0)
+    s, since = w.state(w.value(x) + p[3]), (k - p[2]) - every * w.ca.floor((k - p[2]) / every)
+    s.after = w.ca.if_else(w.ca.logic_or(since < 0.5, w.ca.fabs(x - s.x) > abs(p[0])), x, s.x)
+    return s.after
+
+
 def _scanned(w: Wiring, x: Any, p: Array, k: Any) -> Any:
     every, phase = float(p[0]), float(p[1])
     s, since = w.state(w.value(x)), k - phase - every * w.ca.floor((k - phase) / every)
@@ -215,6 +222,7 @@ def _in_turn(w: Wiring, x: Any, p: Array, k: Any) -> Any:
 TIMED: Mapping[str, Callable[[Wiring, Any, Array, Any], Any]] = {
     "tones": _tones,
     "input_scanned": _scanned,
+    "reported_in_time": _beaten,
     "multiplexed": _in_turn,
 }
 """Of those that know the time, too."""

@@ -1,0 +1,100 @@
+"""Sensors that report a change of more than a least step, and stand in between; some report at fixed times besides."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
+from estimators.diagnosis.effects.output import KEPT
+
+Array = NDArray[Any]
+STILL, REPORTS = 0.4, 20
+"""Share of the samples in which the reading stands, and moves at least, of a sensor that reports changes only."""
+CLEAR_OF = 6.0
+"""Of the spread of the steps from sample to sample, from which on one is a report: the others are noise, or none."""
+LEAST_STEPS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.35)
+"""Quantiles of the reports' steps at which the least change that is reported may lie: most are larger, as the signal moves on."""
+BEATS, SHORTEST = 8, 3
+"""Reports at fixed times that a record must hold, and samples from one to the next at least."""
+BEATEN = (0.1, 0.2, 0.3, 0.45, 0.6, 0.75, 0.9, 0.97)
+"""Quantiles of the reports' steps at which the least one may lie where those at fixed times are of any size."""
+
+
+def _reported(x: Array, p: Array, clock: Clock) -> Array:
+    from estimators.diagnosis.effects.kernels.recursion_kernels import reported
+
+    beaten = (
+        np.zeros(len(x), dtype=bool) if len(p) < 3 else (clock.k - p[2]) % max(abs(float(p[1])), 1.0) < 0.5
+    )
+    return reported(np.ascontiguousarray(x), abs(float(p[0])), float(x[0] + p[-1]), beaten)
+
+
+def _beat(moved: NDArray[np.bool_]) -> tuple[int, int]:
+    """Samples from one report to the next, and the place of the first, where reports are denser than elsewhere: (0, 0) where nowhere are."""
+    best, n, share = (0.0, 0, 0), len(moved), float(np.mean(moved))
+    for every in range(SHORTEST, n // BEATS + 1):
+        whole = moved[: n // every * every].reshape(-1, every)
+        mean = whole.mean(axis=0)
+        place = int(np.argmax(mean))
+        clear = (mean[place] - share) * np.sqrt(len(whole) / (share * (1.0 - share)))
+        best = max(best, (float(clear), every, place))
+    return best[1:] if best[0] > CLEAR_OF else (0, 0)
+
+
+def _reports(channel: Any, base: Any, beaten: bool) -> Iterator[Any]:
+    """A linear model of the samples that were reported, which are the signal itself, and the least step that leaves least."""
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.simulation import simulate
+    from estimators.diagnosis.model.structure import Part
+
+    s, keep = base.structure, channel.keep
+    if s.layout != "tf" or s.effects or np.mean(keep) < KEPT:
+        return
+    steps = np.abs(np.diff(channel.y))
+    moved = steps > CLEAR_OF * 1.4826 * np.median(steps)
+    if not (REPORTS <= moved.sum() <= (1.0 - STILL) * len(steps)):
+        return
+    every, place = _beat(moved) if beaten else (0, 0)
+    if beaten and not every:
+        return
+    seen = np.concatenate(([True], moved))
+    f = fit(replace(channel, keep=seen & keep), s, base.p, base.scales, iterations=40, colour=False)
+    new = s.adding(Part(BEAT if beaten else REPORTED, s.inputs[0]))
+    beat = [float(every), float((channel.clock.k[0] + place + 1) % every)] if beaten else []
+
+    def left(p: Array) -> float:
+        return float(np.sum((channel.y - simulate(new, p, channel.u, channel.clock)) ** 2))
+
+    first = int(np.argmax(moved)) + 1
+    off = float(np.mean(channel.y[:first])) - float(simulate(s, f.p, channel.u, channel.clock)[0])
+    quantiles = np.quantile(steps[moved], BEATEN if beaten else LEAST_STEPS)
+    best = min(([size, *beat, off] for size in quantiles), key=lambda q: left(np.append(f.p, q)))
+    near = (np.append(f.p, [best[0] * factor, *best[1:]]) for factor in np.linspace(0.85, 1.15, 31))
+    p = min(near, key=left)
+    size = 0.05 * p[len(f.p)]
+    yield fit(
+        channel,
+        new,
+        p,
+        np.append(f.scales, [size, *np.zeros(len(beat)), size]),
+        noise=base.noise,
+        iterations=10,
+    )
+
+
+SENDS = "the sensor reports a change of more than a least step only, and stands in between"
+REPORTED = Effect(
+    key="reported_on_change", cause="report_on_change", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, trials=12,
+    sentence=SENDS, apply=_reported, parameters={"least_step": "y", "start": "y"},
+    search=lambda channel, base, others: _reports(channel, base, False),
+)  # fmt: skip
+BEAT = Effect(
+    key="reported_in_time", cause="report_on_change", nature=Nature.SAMPLING, slot=Slot.OUTPUT, memory=True, trials=100,
+    sentence=f"{SENDS}, but for reports at fixed times", apply=_reported,
+    parameters={"least_step": "y", "every": "sample", "place": "sample", "start": "y"},
+    search=lambda channel, base, others: _reports(channel, base, True),
+)  # fmt: skip
+REPORTING = (REPORTED, BEAT)
