@@ -19,6 +19,7 @@ __all__ = [
     "melting",
     "overflowing",
     "rectified",
+    "seat",
     "slipping_belt",
     "transmitter",
 ]
@@ -83,6 +84,19 @@ def cistern(u, a):
 
 def overflowing(u, a):
     return _filling(u, a, -np.inf, 6.0)
+
+
+def seat(u, a):
+    """A seat on a moved floor, whose damper resists less as the floor comes up."""
+    r, x, v, out = u[0], u[0], 0.0, np.zeros(len(u))
+    for k, value in enumerate(u):
+        out[k] = x
+        for _ in range(FINE):
+            r += (value - r) / 1.5 / FINE
+            gain = (value - r) / 1.5 - v
+            v += (0.06 * (r - x) + (0.05 if a and gain > 0.0 else 0.3) * gain) / FINE
+            x += v / FINE
+    return lag(out, 0.3)
 
 
 def in_time(u, a):

@@ -18,6 +18,7 @@ from tests.estimators.diagnosis.case_drives import (
     melting,
     overflowing,
     rectified,
+    seat,
     slipping_belt,
     transmitter,
 )
@@ -353,7 +354,7 @@ ALL_CLASSES = CLASSES | {
     "sensor_rate": (transmitter, 3, {}), "geared_servo": (joint, 4, {"hold": 15}), "geared_load": (driveline, 3, {"hold": 15}), "geared_motor": (engine, 3, {"hold": 15}),
     "store": (buffer, 2, {"hold": 15}), "store_empty": (cistern, 2, {"hold": 15}), "store_full": (overflowing, 2, {"hold": 15}),
     "outflow_root_fed": (basin, 2, {"mean": 4.0, "inputs": 2}), "capacity_bump_fed": (melting, 2, {"mean": 4.0, "inputs": 2}),
-    "slipping": (slipping_belt, 2, {"hold": 10}), "flow_up": (rectified, 3, {"hold": 15, "mean": 1.0}), "flow_down": (drained, 3, {"hold": 15, "mean": -1.0}),
+    "strut": (seat, 3, {"hold": 10}), "slipping": (slipping_belt, 2, {"hold": 10}), "flow_up": (rectified, 3, {"hold": 15, "mean": 1.0}), "flow_down": (drained, 3, {"hold": 15, "mean": -1.0}),
     "recycle": (recycled, 2, {}), "waveform": (on_a_timer, 2, {}), "stiction_sliding": (slid, 2, {"hold": 2}),
 }  # fmt: skip
 
@@ -366,6 +367,7 @@ ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     ("store_empty", "store_full"), ("store_full", "store_empty"), ("store_empty", "output_cutoff"), ("store_full", "output_ratio"), ("rate_in_loop", "store"),
     ("outflow_root_fed", "capacity_bump_fed"), ("capacity_bump_fed", "outflow_root_fed"), ("loss_fed", "capacity_bump_fed"),
     ("reported_in_time", "reported_on_change"), ("reported_on_change", "reported_in_time"), ("reported_in_time", "refreshed"),
+    ("strut", "rise_and_fall"), ("rise_and_fall", "strut"), ("strut", "rate_limit_servo"), ("drag", "strut"),
     ("slipping", "rise_and_fall"), ("slipping", "loss_cubic"), ("rise_and_fall", "slipping"), ("outflow_root", "slipping"), ("store_empty", "flow_up"), ("flow_up", "rise_and_fall"), ("rise_and_fall", "flow_up"), ("flow_up", "wind_up"), ("rate_in_loop", "flow_down"),
     ("flow_down", "output_cutoff"), ("stiction", "flow_up"), ("rate_limit_servo", "flow_up"), ("rate_of_loop", "flow_up"),
     ("stiction", "stiction_sliding"), ("stiction_sliding", "plays"), ("clearance", "stiction_sliding"),

@@ -5,7 +5,14 @@ import pytest
 
 from estimators.diagnosis.baseline.linear_model import Prior
 from estimators.diagnosis.effects import Clock, named
-from estimators.diagnosis.effects.kernels.loop_kernels import COURSE, flowing, geared, steered_loop, stored
+from estimators.diagnosis.effects.kernels.loop_kernels import (
+    COURSE,
+    carried,
+    flowing,
+    geared,
+    steered_loop,
+    stored,
+)
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.search.free_runs import Start, _Moved, free_run
@@ -128,3 +135,17 @@ def test_a_record_says_how_its_flow_begins(key, way):
     assert np.allclose(untold[since], at_rest[since])
     one = np.where(np.arange(200) < 1, untold + 0.01, np.nan)
     assert np.max(np.abs(free_run(_Moved(s, p), u, clock, one, 1, start) - untold)) < 0.05
+
+
+def test_what_rides_on_a_moved_base_is_its_differential_equation():
+    """Against two thousand Euler's steps to a sample."""
+    u, h, plain = np.repeat([0.0, 1.0, -2.0, 0.5, 3.0], 25), 1.0 / 2000, []
+    r, x, v = 0.0, 0.0, 0.0
+    for value in u:
+        for _ in range(2000):
+            gain = (value - r) / 1.5 - v
+            r += h * (value - r) / 1.5
+            v, x = v + h * (0.09 * (r - x) + (0.05 if gain > 0.0 else 0.25) * gain), x + h * v
+        plain.append(x)
+    run = carried(u, np.array([0.3, 0.05, 0.25, 1.5]), 0.0)
+    assert np.max(np.abs(run - plain)) < 2e-3 * np.ptp(plain)

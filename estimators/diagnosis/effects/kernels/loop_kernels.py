@@ -230,3 +230,29 @@ def flowing(signal, p, start, least, begun, lead):  # pragma: no cover - compile
         if not written(out, k, x[1]):
             return out
     return out
+
+
+@compiled
+def carried(signal, p, start):  # pragma: no cover - compiled
+    """Position at the end of each sample of what rides on a moved base by a spring and a damper, x'' = w^2 (r - x) + c (r' - x'), where the
+    base nears the signal with a lag and the damper has a constant for each way.
+
+    p: w, c where the base gains on it, c where it falls back, the lag in samples; at rest at `start`. Midpoint steps, `WITHIN` of them.
+    """
+    out = np.empty_like(signal)
+    h, stiff = 1.0 / WITHIN, p[0] ** 2
+    near = np.exp(-0.5 * h / p[3])
+    r, x, v = start, start, 0.0
+    for k in range(signal.shape[0]):
+        for _ in range(WITHIN):
+            gain = (signal[k] - r) / p[3] - v
+            force = stiff * (r - x) + (p[1] if gain > 0.0 else p[2]) * gain
+            middle, speed = x + 0.5 * h * v, v + 0.5 * h * force
+            r = signal[k] + (r - signal[k]) * near
+            gain = (signal[k] - r) / p[3] - speed
+            v += h * (stiff * (r - middle) + (p[1] if gain > 0.0 else p[2]) * gain)
+            x += h * speed
+            r = signal[k] + (r - signal[k]) * near
+        if not written(out, k, x):
+            return out
+    return out

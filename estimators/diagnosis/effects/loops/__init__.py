@@ -1,5 +1,6 @@
 """Hidden loops between the input and the linear part, and what remembers there."""
 
+from estimators.diagnosis.effects.loops.carried import CARRIED_BY
 from estimators.diagnosis.effects.loops.flows import FLOWS
 from estimators.diagnosis.effects.loops.geared import GEARED
 from estimators.diagnosis.effects.loops.limited import (
@@ -41,4 +42,5 @@ LOOPS = (
     *GEARED,
     *STORES,
     *FLOWS,
+    CARRIED_BY,
 )

@@ -14,6 +14,7 @@ from estimators.diagnosis.effects.kernels.loop_kernels import (
 )
 from estimators.diagnosis.effects.kernels.plant_kernels import held_response
 from estimators.diagnosis.effects.kernels.recursion_kernels import WITHIN
+from estimators.diagnosis.effects.loops.carried import of_strut
 from estimators.diagnosis.effects.loops.flows import FLOWS, of_flow
 from estimators.diagnosis.effects.loops.geared import GEARED, of_drive
 from estimators.diagnosis.effects.loops.stores import STORES, ends_of
@@ -167,9 +168,25 @@ def _flowed(way: float) -> Callable[[Wiring, Any, Array], Any]:
     return flowed
 
 
+def _carried(w: Wiring, x: Any, p: Array) -> Any:
+    fast, bump, rebound, lag = map(float, of_strut(p))
+    h, start = 1.0 / WITHIN, w.value(x)
+    s, near = w.state([start, start, 0.0]), float(np.exp(-0.5 * h / lag))
+    r, at, v = s.x[0], s.x[1], s.x[2]
+    damped = lambda gain: w.ca.if_else(gain > 0.0, bump, rebound) * gain
+    for _ in range(WITHIN):
+        force = fast**2 * (r - at) + damped((x - r) / lag - v)
+        middle, speed = at + 0.5 * h * v, v + 0.5 * h * force
+        r = x + (r - x) * near
+        v, at = v + h * (fast**2 * (r - middle) + damped((x - r) / lag - speed)), at + h * speed
+        r = x + (r - x) * near
+    s.after = w.ca.vertcat(r, at, v)
+    return at
+
+
 LOOPED: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
     "rate_limit": _servo(1), "rate_limit_sampled": _servo(0), "rate_limit_servo": _servo(1), "wind_up": _wound_up, "relay_feedback": _switched,
     "rate_in_loop": _steered(0), "rate_of_loop": _steered(1), "rate_in_course": _steered(COURSE),
-    "sensor_rate": _trailed, **{e.key: _geared(*how) for e, how in GEARED.items()},
+    "sensor_rate": _trailed, "strut": _carried, **{e.key: _geared(*how) for e, how in GEARED.items()},
     **{e.key: _stored(ends) for e, ends in STORES.items()}, **{e.key: _flowed(way) for e, way in FLOWS.items()},
 }  # fmt: skip
