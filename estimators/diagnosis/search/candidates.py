@@ -107,17 +107,20 @@ def _scanned(
     """Fits with each effect whose starts come from scores."""
     s = base.structure
     tasks: list[_Task] = []
-    sooner = _sooner(channel, base) if any(e.alone or e.slot is Slot.PLANT for e in wanted) else []
+    early: list[_Task] = []
+    sooner = _sooner(channel, base) if any(e.alone for e in wanted) else []
     for e in wanted:
         if e.slot is not Slot.PLANT:
-            for model in (base, *(sooner if e.alone else ())):
-                for j in s.inputs if e.slot is Slot.INPUT else s.inputs[:1]:
-                    tasks += _scan(channel, base, model, Part(e, j), best)
+            for j in s.inputs if e.slot is Slot.INPUT else s.inputs[:1]:
+                tasks += _scan(channel, base, base, Part(e, j), best)
+                early += [
+                    t for model in sooner if e.alone for t in _scan(channel, base, model, Part(e, j), best)
+                ]
     plant = [e for e in wanted if e.slot is Slot.PLANT]
     several = len(s.inputs) > 1
     if several:  # how the other inputs enter would change with the rates
         plant = [e for e in plant if e.change is None and not s.effects]
-    layouts = [f for model in (base, *sooner) for f in _layouts(channel, model)] if plant else []
+    layouts = _layouts(channel, base) if plant else []
     if several:
         layouts = sorted(layouts, key=lambda f: f.deviance)[:FORMS]
     for layout in layouts:
@@ -125,8 +128,12 @@ def _scanned(
             if not e.refines and e.fits(layout.structure.layout):
                 for j in layout.structure.inputs if e.each else layout.structure.inputs[:1]:
                     tasks += _scan(channel, base, layout, Part(e, j), best)
-    tasks = sorted((t for t in tasks if UNDERSTATED * t.promise >= needed), key=lambda task: -task.promise)
-    chosen = _chosen(tasks, top, bool(s.effects))
+    ranked = lambda tasks: sorted(
+        (t for t in tasks if UNDERSTATED * t.promise >= needed), key=lambda task: -task.promise
+    )
+    chosen = _chosen(ranked(tasks), top, bool(s.effects))
+    tasks = ranked(tasks + early)  # what promises most with less delay takes the place of no other
+    chosen += [e for e in _chosen(tasks, top, bool(s.effects)) if e.alone and e not in chosen]
     found: list[Fit] = []
     most = 0.0  # that any effect gained so far
     for e in (e for e in chosen if e.slot is not Slot.PLANT):
@@ -135,7 +142,7 @@ def _scanned(
                 most = max(most, base.deviance - f.deviance)
                 found.append(f)
                 yield from _bent(channel, f)
-    yield from _lagged_fits(channel, base, found, iterations)
+    yield from _lagged_fits(channel, base, [f for f in found if f.structure.delay == s.delay], iterations)
     simple: dict[str, Fit] = {}
     for f in _plant_fits(channel, base, [e for e in plant if e in chosen], tasks, iterations):
         most = max(most, base.deviance - f.deviance)
@@ -287,9 +294,8 @@ def _refined_fits(
         parents = [f for f in parents if base.deviance - f.deviance > max(SHARE * most, 10.0)]
         if not parents:
             continue
-        near = min(parents, key=lambda f: f.deviance).structure
-        alike = lambda s, near=near: (s.layout, s.delay) == (near.layout, near.delay)
-        layout = next((f for f in layouts if alike(f.structure) and e.fits(near.layout)), None)
+        near = min(parents, key=lambda f: f.deviance).structure.layout
+        layout = next((f for f in layouts if f.structure.layout == near and e.fits(near)), None)
         if layout is not None:
             found = scored(channel, layout, Part(e, layout.structure.inputs[0]), 2)
             for f in _least(fitted(channel, base, found.starts, QUICK)):
