@@ -170,7 +170,7 @@ def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
             return [*agreed, Finding("", agreed[0].cause, agreed[0].nature, 0.0, 0.0, words)]
         kind = o.share.nature if o.share.explainable and o.weighs(o.share.nature) else o.discovered
         heavy = [t for t in mine if t.weight >= HEAVY * mine[0].weight and t.nature == kind]
-        cause = next((t.same_as for t in heavy if t.same_as and t.sure), UNKNOWN)
+        cause = next((t.same_as for t in heavy[:1] if t.same_as and t.sure), UNKNOWN)
         return [Finding("", cause, kind, weight, 0.0, words)] + [
             Finding("", t.same_as, t.nature, 0.1 * weight / (2 + k), 0.0, f"{t.meaning}{tag}: {t.text}")
             for k, t in enumerate(mine[1:]) if t.same_as and t.same_as != cause
