@@ -15,6 +15,7 @@ from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, parameters_of
 from estimators.diagnosis.model.fitting import ar_model, innovations
 from estimators.diagnosis.model.forces import effective_samples
 from estimators.diagnosis.policy import Policy
+from estimators.diagnosis.result.answers import LinearAnswer
 from estimators.diagnosis.search.examination import Examined
 from estimators.diagnosis.search.named import CLOCKED, INDEPENDENT
 from estimators.diagnosis.share import Share
@@ -57,7 +58,9 @@ class Outcome:
     def by_the_clock(self, train: Record) -> Outcome:
         """With a linear model whose level settles on the training record's clock: no other record begins with it anew."""
         rungs = self.ladder.rungs
-        answer = replace(rungs[0].step.answer, since=(train.t0, train.dt))
+        if not isinstance(linear := rungs[0].step.answer, LinearAnswer):
+            return self
+        answer = replace(linear, since=(train.t0, train.dt))
         first = replace(rungs[0], step=replace(rungs[0].step, answer=answer))
         return replace(self, ladder=replace(self.ladder, rungs=(first, *rungs[1:])))
 

@@ -40,11 +40,12 @@ def _lost(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     for f in _once(channel, base, others):
         yield f
         for size in range(2, MOST + 1):
-            more = _beside(channel, f, _jumps(f))
-            for i in range(size if more is not None else 0):
+            if (more := _beside(channel, f, _jumps(f))) is None:
+                break
+            for i in range(size):
                 again = _beside(channel, more, np.delete(_jumps(more), i, axis=0))
-                more = again if again is not None and again.criterion < more.criterion else more
-            if more is None or not more.criterion < f.criterion - AGAIN:
+                more = more if again is None or again.criterion >= more.criterion else again
+            if not more.criterion < f.criterion - AGAIN:
                 break
             yield (f := more)
 
