@@ -17,6 +17,7 @@ from estimators.diagnosis.effects.profiled import firm
 Array = NDArray[Any]
 FED = ("rise_and_fall", "loss", "outflow_root", "vessel", "capacity_bump", "slipping")
 """Processes of their own level, which has what feeds it for a limit."""
+LEAST = 1e-9  # of a weight, by which it is moved for a derivative where it is none
 
 
 def _mixed(U: Array, channel: int, weights: Array) -> Array:
@@ -54,17 +55,14 @@ def _fed(e: Effect) -> Effect:
         f = min(found, key=lambda f: f.deviance)
         if not firm(base, float(np.sum(f.residual**2))):
             return
-        rest, numerators = f.structure.order, np.zeros((2, nu, f.structure.taps))
-        for row, values in zip(numerators, (f.p, f.scales), strict=True):
-            row[:] = values[rest : rest + f.structure.taps] * (
-                1.0 if values is f.scales else np.eye(nu)[j][:, None]
-            )
-        p, scales = (
-            np.concatenate((values[:rest], row.ravel(), values[rest + f.structure.taps :], more))
-            for values, row, more in zip(
-                (f.p, f.scales), numerators, (weights, np.abs(weights) + 1e-9), strict=True
-            )
-        )
+        n, taps = f.structure.order, f.structure.taps
+
+        def widened(values: Array, elsewhere: float, more: Array) -> Array:
+            """Of all inputs, the others' path beside the process so much of its own, and the weights."""
+            rows = [values[n : n + taps] * (1.0 if k == j else elsewhere) for k in range(nu)]
+            return np.concatenate((values[:n], *rows, values[n + taps :], more))
+
+        p, scales = widened(f.p, 0.0, weights), widened(f.scales, 1.0, np.abs(weights) + LEAST)
         whole = replace(f.structure, inputs=s.inputs, parts=f.structure.parts[:-1]).adding(
             Part(effect, j, nu - 1)
         )
