@@ -60,17 +60,30 @@ def as_shown(part: Part, f: Fit, channel: Channel) -> Part:
         return replace(part, effect=replace(effect, cause=named("loss").cause))
     if _multiplies(part, p[part.own :], channel):
         return replace(part, effect=named("bilinear"))
-    if effect is RECYCLE and not _returns(f, channel):
+    if effect.key in LAGGING and not _departs(effect.key, f, channel):
         return replace(part, effect=named("order"))
     if effect.cause == FOLD and not _folds(f, at, channel):
         return replace(part, effect=replace(effect, cause=named("output_polynomial").cause))
     return part
 
 
-def _returns(f: Fit, channel: Channel) -> bool:
-    """Whether the share that comes back is told from nothing: else two lags and a delay beside the plant are more dynamics."""
+LAGGING = {
+    RECYCLE.key: ("share",),
+    **{key + fed: own for fed in ("", "_fed") for key, own in {
+        "rise_and_fall": ("asymmetry",), "loss_cubic": ("k3",), "loss": ("k2", "k3"), "capacity_bump": ("more",)}.items()},
+}  # fmt: skip
+"""Effects that without these parameters are lags beside the plant: more linear dynamics."""
+
+
+def _departs(key: str, f: Fit, channel: Channel) -> bool:
+    """Whether any of the parameters is told from nothing that an effect has beyond a lag."""
     rows = parameters_of(f, channel)
-    return any(abs(rows[k][0]) > NORMAL * rows[k][1] for k in rows if k.startswith(f"{RECYCLE.key}.share"))
+    return any(
+        abs(rows[k][0]) > NORMAL * rows[k][1]
+        for own in LAGGING[key]
+        for k in rows
+        if k.startswith(f"{key}.{own}")
+    )
 
 
 def _multiplies(part: Part, q: Array, channel: Channel) -> bool:

@@ -29,6 +29,7 @@ from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.result.report import ErrorFigure
+from estimators.diagnosis.search import naming
 from estimators.diagnosis.search.examination import Known, _forgetting
 from estimators.diagnosis.search.few import _loose
 from estimators.diagnosis.search.naming import CONTENT, FOLDED, LATE, as_shown
@@ -54,8 +55,13 @@ def _shown(
     return as_shown(part, fit, channel).effect
 
 
-def test_a_process_without_memory_and_a_curve_behind_the_plant_are_named_as_what_they_are() -> None:
-    assert _shown("loss", [0.5, 0.1, 0.1]).key == "loss"
+def test_a_process_without_memory_and_a_curve_behind_the_plant_are_named_as_what_they_are(
+    monkeypatch,
+) -> None:
+    for error, key in ((0.05, "loss"), (0.06, "order")):  # of a loss that is told from none, or a lag
+        rows = {"loss.rate": (0.5, 0.01, ""), "loss.k2": (0.1, error, ""), "loss.k3": (0.1, 0.2, "")}
+        monkeypatch.setattr(naming, "parameters_of", lambda f, channel, rows=rows: rows)
+        assert _shown("loss", [0.5, 0.1, 0.1]).key == key
     assert _shown("loss", [4.5, 0.1, 0.1]).key == "input_polynomial"
     assert _shown("input_power", [0.4]).key == "input_power"
     assert _shown("input_power", [-0.2, 0.4], first=1).key == "input_power"
