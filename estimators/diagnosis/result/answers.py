@@ -83,11 +83,9 @@ class LinearAnswer:
         """(N,) free run."""
         u, y = record.u[:, list(self.inputs)], record.y[:, self.output]
         prior = self.prior if np.isfinite(y[:window]).any() else self.untold
-        model, late = (
-            self.model,
-            0 if self.since is None else round((record.t0 - self.since[0]) / self.since[1]),
-        )
-        model, prior = model.later(prior, late)
+        model = self.model
+        if self.since is not None:
+            model, prior = model.later(prior, round((record.t0 - self.since[0]) / self.since[1]))
         return model.free_run(prior, u, y, window)
 
     def symbols(self, w: Wiring) -> Any:

@@ -224,14 +224,9 @@ def _as_full(f: Shaped, at: int, u: Array, clock: Clock, y: Array, start: Start)
     between them."""
     q, flow = f.p[f.structure.slices()[at]], u[:, f.structure.parts[at].channel]
     reach = float(np.sum(np.abs(flow - q[1])))
-    levels = (
-        float(q[-1]),
-        0.0,
-        *map(abs, q[2:-1]),
-        reach,
-        -reach,
-    )  # as far as it may go in the window: from there it meets no end
-    return _stepped(f, at, _left(f, u, clock, y, start), np.array(levels)[:, None], reach)
+    # as far as it may go in the window: from there it meets no end
+    levels = np.concatenate((q[-1:], [0.0], np.abs(q[2:-1]), [reach, -reach]))
+    return _stepped(f, at, _left(f, u, clock, y, start), levels[:, None], reach)
 
 
 def _as_flowing(f: Shaped, at: int, u: Array, clock: Clock, y: Array, start: Start) -> Shaped:

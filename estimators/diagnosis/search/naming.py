@@ -47,7 +47,7 @@ def as_shown(part: Part, f: Fit, channel: Channel) -> Part:
 
     A curve of the input where its process is too quick for a memory; of the output where the lag before the curve is slower than
     what follows it, or where a fold is hardly reached; a loss where nothing can swing that a spring would hold; a product where
-    a flow hardly fills its capacity, or passes no pipe.
+    a flow hardly fills its capacity, or passes no pipe; more dynamics where nothing but a lag is told.
     """
     at = f.structure.parts.index(part)
     p, effect = f.p[f.structure.slices()[at]], part.effect

@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
+from estimators.diagnosis.baseline.linear_model import LinearModel
 from estimators.diagnosis.discovery.dictionary import Kind
 from estimators.diagnosis.discovery.form import Factor, Form, Term
 from estimators.diagnosis.discovery.model import DiscoveredModel
 from estimators.diagnosis.discovery.starts import Scales
 from estimators.diagnosis.discovery.validation import StartPrior
-from estimators.diagnosis.effects import Effect, Nature, Slot, named
-from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects import Effect, Nature, Slot
 from estimators.diagnosis.ladder.steps import Gain
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.remainder.mixture import Remainder
@@ -26,98 +25,9 @@ from estimators.diagnosis.result.model import DiagnosedModel
 from estimators.diagnosis.search.free_runs import Start
 from oed.data import Record
 from oed.errors import InputError
+from tests.estimators.diagnosis.case_answers import NAMED, POLES, PRIOR, named_answer
 
-PRIOR = Prior(0.0, 0.9 ** np.arange(64.0), 0.01)
 DEN, NUM = np.array([1.0, -1.5, 0.7]), np.array([[0.0, 0.1, 0.1]])
-POLES = {"tf": [-1.5, 0.7, 0.1, 0.1], "first": [-1.0, 0.8], "oscillator": [-2.4, -2.8, 1.0, 0.1],
-         "cascade": [-1.0, -0.5, 1.0, 0.2], "driven": [-2.4, -2.8, -0.7, 1.0, 0.2, 0.1], "integrator": [-2.0, 0.3, 0.0]}  # fmt: skip
-ORDERS = {"tf": 2, "first": 1, "oscillator": 2, "cascade": 2, "driven": 3, "integrator": 2}
-
-# by name: layout, effects with their parameters (a number of terms or the poles of a block after them), options of the answer
-NAMED = {
-    "maps": ("tf", [("input_exponential", [0.3]), ("output_tanh", [0.2]), ("offset", [0.4])], {}),
-    "limits without delay": ("tf", [("saturation", [0.8]), ("output_clip_upper", [0.5])], {"ahead": True}),
-    "late": ("tf", [("delay", [2.4])], {"delay": 3}),
-    "play": ("tf", [("backlash_input", [0.4, -0.5]), ("backlash_sampled", [0.1])], {}),
-    "rate": ("tf", [("rate_limit", [0.5]), ("lag", [0.6])], {"rest": False}),
-    "two rates": ("tf", [("rate_limit_servo", [0.5, 0.2, 0.7])], {"rest": False}),
-    "wind up": ("tf", [("wind_up", [0.1, 3.0, 0.3, -0.8, 0.9])], {"rest": False}),
-    "thermostat": ("tf", [("relay_feedback", [0.1, 0.2, -0.7, -0.3, 0.4])], {"rest": False}),
-    "loop of limited speed": ("tf", [("rate_in_loop", [0.1, 3.0, 0.3, 0.2, 0.3, 0.7, 1.2])], {"rest": False}),
-    "its actuator": ("tf", [("rate_of_loop", [0.1, 3.0, 0.3, 0.2, 0.3, 0.7, 0.0])], {"rest": False}),
-    "a course": ("tf", [("rate_in_course", [0.1, 3.0, 0.3, 0.02, 0.03, 0.7, 1.2])], {"rest": False}),
-    "slow reading": ("tf", [("sensor_rate", [0.1, 0.15, 0.7])], {"rest": False}),
-    "a joint": ("tf", [("geared_servo", [0.25, 0.35, 0.4, 0.5, 0.2, 0.05, 0.35])], {"rest": False}),
-    "a driveline": ("tf", [("geared_load", [0.05, 0.4, 0.5, 0.2, 0.05, 0.35])], {"rest": False}),
-    "its motor": ("tf", [("geared_motor", [0.05, 0.4, 0.5, 0.2, 0.05, 0.35])], {"rest": False}),
-    "a queue": ("tf", [("store", [0.02, 0.1, 1.5, 0.7])], {"rest": False}),
-    "a cistern": ("tf", [("store_empty", [0.0, 0.1, 0.7])], {"rest": False}),
-    "a brim": ("tf", [("store_full", [0.02, 0.1, -0.7])], {"rest": False}),
-    "a seat": ("tf", [("strut", [0.3, 0.05, 0.2, 1.5])], {"rest": False}),
-    "a check valve": ("tf", [("flow_up", [0.3, 0.1, 0.02, 0.05, 0.2, -0.1])], {"rest": False}),
-    "a converter": ("tf", [("flow_down", [0.3, 0.1, 0.0, 0.05, 0.0, 0.0])], {"rest": False}),
-    "angle": ("tf", [("gain_of_angle", [0.3, 0.2, 0.6])], {"rest": False}),
-    "angle without delay": ("tf", [("gain_of_angle", [0.3, 0.2, 0.6])], {"ahead": True}),
-    "fatigue": ("tf", [("gain_fatigue", [0.02, 0.03])], {"rest": False}),
-    "warm": ("tf", [("loss_heat", [0.3, -0.6, 0.5, 0.05])], {"rest": False}),
-    "staircase in time": ("tf", [("input_staircase", [0.4, 0.1]), ("gain_periodic", [0.2, 0.3, 0.1])], {}),
-    "sampled rate": ("tf", [("rate_limit_sampled", [0.5])], {}),
-    "stem": ("tf", [("stiction", [0.5, 0.3, 0.7])], {"ahead": True, "rest": False}),
-    "stem that slides": ("tf", [("stiction_sliding", [0.5, 0.3, 0.7])], {"ahead": True, "rest": False}),
-    "plays": ("tf", [("plays", [1.2, 0.5, 0.2, 0.1, 0.4, -0.7]), ("plays_output", [0.8, 0.1, 0.3, 0.2, 0.5, 0.3])], {"rest": False}),
-    "bends": ("tf", [("hysteresis", [0.6, 0.5])], {}),
-    "bends by rate": ("tf", [("hysteresis_rate", [0.6, 2.0])], {}),
-    "heat": ("tf", [("gain_heat", [0.1, 30.0])], {"rest": False}),
-    "lines": ("tf", [("input_lines", [0.5, -0.4, -1.2, 0.7], {"size": 2}), ("output_lines", [-0.3, 0.2])], {}),
-    "sandwich": ("tf", [("sandwich", [-0.5, 0.5, 0.2], {"first": 1})], {}),
-    "block with zeros": ("tf", [("input_cubic", [-0.4, 0.3, 0.05], {"first": 1, "free": True})], {}),
-    "paths": ("tf", [("mode", [0.2, 0.1, -1.2, 0.8], {"size": 2}), ("integral_curve", [0.3, 0.1, 2.0, 0.2, 3.0, 50.0, -9.0, 4.0])], {}),
-    "treads": ("tf", [("output_staircase", [0.4, 0.1])], {}),
-    "ranges": ("tf", [("output_ranges", [-0.2, 0.7, 0.3])], {}),
-    "turns": ("tf", [("multiplexed", [4.0, 1.0, 0.7, 0.2, 0.0])], {"clock": (-3.0, 1.0, 300)}),
-    "turns of a slow one": ("tf", [("multiplexed", [3.0, 1.0, 0.9, 0.2, 6.0])], {"clock": (-3.0, 1.0, 300), "rest": False}),
-    "paced": ("tf", [("sensor_paced", [0.3, 0.4, 0.2])], {"rest": False}),
-    "levelled": ("tf", [("automatic_gain", [0.8, 0.6, 4.0, 20.0, 0.1])], {"rest": False}),
-    "beating sensor": ("tf", [("output_gain_periodic", [0.2, 0.3, 0.1])], {}),
-    "recycle": ("tf", [("recycle", [0.5, 6.0, 2.0, 7.3])], {"rest": False}),
-    "on a timer": ("tf", [("waveform", [0.2, 0.3, 0.1, 0.2, -0.1], {"size": 2})], {}),
-    "run up": ("tf", [("sweep_input", [0.2, 0.001, 0.3, 0.2, 1.5])], {}),
-    "scans": ("tf", [("input_scanned", [3.0, 1.0])], {"rest": False}), "own scans": ("tf", [("input_scanned", [3.37, 1.2])], {"rest": False}),
-    "sine": ("tf", [("output_sine", [0.9, 0.3]), ("input_sine", [0.8, 0.3])], {}),
-    "worn": ("tf", [("gain_worn", [0.02, 0.6])], {"rest": False}),
-    "at times": ("tf", [("reported_in_time", [0.3, 7.0, 2.0, 0.1])], {"rest": False}),
-    "on change": ("tf", [("reported_on_change", [0.3, 0.1])], {"rest": False}),
-    "store": ("tf", [("integral_curve", [0.3, 0.1, 2.0, 0.2, 3.0, 50.0, -9.0, 0.0])], {"rest": False}),
-    "time": ("tf", [("gain_drift", [0.3]), ("drift", [0.1, 0.2]), ("tones", [0.2, 0.3, 0.1]), ("sweep", [0.1, 0.01, 0.2, 0.1])],
-             {}),
-    "step": ("tf", [("step_input", [0.5, 40.3])], {"clock": (-30.0, 0.5, 300)}),
-    "belt": ("tf", [("slipping", [0.4, 0.3, 0.1])], {"rest": False}),
-    "process": ("tf", [("orifices", [0.3, 1.5, 0.05])], {}),
-    "vessel": ("tf", [("vessel", [0.3, 1.0, 0.4])], {"rest": False}),
-    "cut-off": ("tf", [("output_cutoff", [0.1, -0.2])], {}),
-    "settling": ("tf", [("gain_settles", [0.6, 0.2])], {"clock": (-30.0, 0.5, 300)}),
-    "capacity": ("tf", [("capacity_bump", [0.3, 2.0, 0.4, 0.5])], {"rest": False}),
-    "linear inside": ("driven", [], {"delay": 2}),
-    "springs": ("oscillator", [("stiffness_cubic", [0.1]), ("drag", [0.2])], {"rest": False}),
-    "friction": ("oscillator", [("stribeck", [0.3, 0.2, 0.15]), ("offset", [0.1])], {}),
-    "stop": ("oscillator", [("end_stop", [0.5])], {}),
-    "hysteretic spring": ("oscillator", [("hysteretic_spring", [0.24, 0.4])], {}),
-    "bilinear": ("cascade", [("bilinear_driven", [0.2])], {}),
-    "pendulum behind a lag": ("oscillator", [("pendulum", [-0.5, 0.8], {"first": 1})], {}),
-    "play behind a servo": ("oscillator", [("clearance_sprung", [-0.9, 0.3, 0.3, 0.2], {"first": 2})], {}),
-    "dry axis": ("integrator", [("coulomb_asymmetric", [0.2, 0.1])], {}),
-    "tank": ("first", [("input_quadratic", [0.1]), ("bilinear", [0.1])], {}),
-}  # fmt: skip
-
-
-def _named(layout, effects, options) -> NamedAnswer:
-    s, p = Structure(ORDERS[layout], layout=layout, delay=options.get("delay", 0)), list(POLES[layout])
-    for key, q, *form in effects:
-        size = len(q) // 2 if key == "output_lines" else 1
-        s = s.adding(Part(OFFSET if key == "offset" else named(key), **({"size": size} | (form or [{}])[0])))
-        p += q
-    start, clock = Start(PRIOR, options.get("rest", True)), options.get("clock", (0.0, 0.5, 120))
-    return NamedAnswer(0, s, np.array(p), start, clock, ahead=options.get("ahead", False))
 
 
 def _model(*answers) -> DiagnosedModel:
@@ -154,10 +64,10 @@ def _held(model: DiagnosedModel, level: float = 0.0) -> np.ndarray:
 @pytest.mark.parametrize("name", NAMED)
 def test_a_named_answer_is_its_twin(name):
     layout, effects, options = NAMED[name]
-    run = _held(_model(_named(layout, effects, options)))
+    run = _held(_model(named_answer(layout, effects, options)))
     assert np.std(run) > 1e-3
     if effects:  # the control: without its effects it is another model
-        plain = _model(_named(layout, [], options)).simulate(_input())
+        plain = _model(named_answer(layout, [], options)).simulate(_input())
         assert np.abs(run - plain).max() > 1e-3
 
 
@@ -180,13 +90,13 @@ def test_a_named_answer_is_its_twin(name):
 )
 def test_a_named_answer_settles_under_an_operating_level_as_the_simulation_does(name):
     layout, effects, options = NAMED[name]
-    _held(_model(_named(layout, effects, options | {"rest": False})), level=1.5)
+    _held(_model(named_answer(layout, effects, options | {"rest": False})), level=1.5)
 
 
 @pytest.mark.parametrize("level, off", [(31.0, 31.0), (0.5, 0.0)])
 def test_a_store_is_as_full_as_the_window_of_a_record_says(level, off):
     """From a level that the training record did not start from; by less than three errors off it is as there."""
-    answer = replace(_named(*NAMED["store"]), start=Start(PRIOR, False, 1e-4))
+    answer = replace(named_answer(*NAMED["store"]), start=Start(PRIOR, False, 1e-4))
     moved = replace(answer, p=answer.p + level * (np.arange(len(answer.p)) == len(answer.p) - 1))
     wanted = replace(answer, p=answer.p + off * (np.arange(len(answer.p)) == len(answer.p) - 1))
     record = lambda y: Record(_input(), y, dt=0.5)
@@ -292,19 +202,21 @@ def test_what_has_no_twin_is_refused_by_name_with_what_to_do():
         with pytest.raises(
             InputError, match=rf"y1 cannot be exported: the effect '{key}'.*diagnose without this effect"
         ):
-            _model(_named(layout, [(key, q)], {})).to_casadi()
-    thin = replace(_named("tf", [], {}), thin=2)
+            _model(named_answer(layout, [(key, q)], {})).to_casadi()
+    thin = replace(named_answer("tf", [], {}), thin=2)
     with pytest.raises(InputError, match="every 2th sample.*diagnose the record sampled as slowly"):
         _model(thin).to_casadi()
     with pytest.raises(InputError, match="give 1 finite numbers: u1"):
-        _model(_named("tf", [], {})).to_casadi([1.0, 2.0])
+        _model(named_answer("tf", [], {})).to_casadi([1.0, 2.0])
 
 
 def _own(apply, key="mine") -> NamedAnswer:
     effect = Effect(key=key, cause="mine", nature=Nature.INPUT_STATIC, slot=Slot.INPUT, sentence="mine", parameters={"a": "1"},
                     apply=apply, starts=lambda s: ([[1.0]], [1.0]))  # fmt: skip
     return replace(
-        _named("tf", [], {}), structure=Structure(2).adding(Part(effect)), p=np.array([*POLES["tf"], 0.5])
+        named_answer("tf", [], {}),
+        structure=Structure(2).adding(Part(effect)),
+        p=np.array([*POLES["tf"], 0.5]),
     )
 
 
@@ -320,7 +232,7 @@ def test_an_effect_of_ones_own_is_exported_where_it_is_a_map_and_refused_where_i
 
 
 def test_a_remainder_is_refused_and_the_model_without_it_is_exported():
-    below = _named("tf", [("dead_zone", [0.4])], {})
+    below = named_answer("tf", [("dead_zone", [0.4])], {})
     rest = Remainder(
         0,
         (),
@@ -344,7 +256,7 @@ def test_a_remainder_is_refused_and_the_model_without_it_is_exported():
 
 
 def test_a_rounding_sensor_is_exported_to_half_a_step():
-    answer = _named("tf", [], {})
+    answer = named_answer("tf", [], {})
     rounded = _model(replace(answer, step=0.05))
     off = np.abs(_twin(rounded, _input()) - rounded.simulate(_input()))
     assert 0.02 < off.max() <= 0.025 + 1e-12
@@ -352,10 +264,10 @@ def test_a_rounding_sensor_is_exported_to_half_a_step():
 
 LINEAR = {
     "arx": lambda: LinearAnswer(0, (0,), LinearModel(DEN, np.array([[0.2, 0.1, 0.0, 0.1]])), PRIOR),
-    "lag, delay and path": lambda: _named(
+    "lag, delay and path": lambda: named_answer(
         "tf", [("delay", [2.4]), ("lag", [0.6]), ("mode", [0.2, 0.1, -1.2, 0.8], {"size": 2})], {}
     ),
-    "physical": lambda: _named("driven", [], {"delay": 2}),
+    "physical": lambda: named_answer("driven", [], {"delay": 2}),
 }
 
 
@@ -373,11 +285,11 @@ def test_what_is_linear_goes_out_to_python_control(name):
 
 
 def test_an_offset_is_no_part_of_the_linear_system_and_a_spring_has_none():
-    with_offset = _model(_named("tf", [("offset", [0.4])], {})).to_control()
+    with_offset = _model(named_answer("tf", [("offset", [0.4])], {})).to_control()
     assert float(with_offset.dcgain()) == pytest.approx(1.0)
     for key, q in (("stiffness_cubic", [0.1]), ("coulomb", [0.2])):
         with pytest.raises(InputError, match="no linear system"):
-            _model(_named("oscillator", [(key, q)], {})).to_control()
+            _model(named_answer("oscillator", [(key, q)], {})).to_control()
 
 
 def test_the_interval_says_how_often_it_held():
@@ -397,7 +309,7 @@ def test_the_page_on_control_does_what_it_says():
     """Its code runs as it stands: the level is reached through the curves that the plant was given, within the limits."""
     page = Path(__file__).resolve().parents[3] / "docs" / "howto" / "control.md"
     code = re.search(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.S).group(1)
-    found = {"model": _model(_named(*NAMED["maps"]))}
+    found = {"model": _model(named_answer(*NAMED["maps"]))}
     exec(compile(code, str(page), "exec"), found)
     y = found["model"].simulate(np.concatenate((found["inputs"], found["inputs"][-1:])))
     assert abs(y[-1, 0] - 1.0) < 0.02

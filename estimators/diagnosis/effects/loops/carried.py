@@ -15,13 +15,14 @@ Array = NDArray[Any]
 FASTER, DAMPINGS, WAYS, LAGS = (0.5, 0.8, 1.2, 2.0), (0.1, 0.3), (0.15, 0.4, 2.5, 7.0), (0.5, 2.0)
 """Natural frequencies, of the linear model's slowest pole, damping ratios of the harder way, the other way over it or under it, and lags of
 the base in samples, that are tried."""
-LEAST, STIFFEST = 1e-6, 2.0
-"""Of a frequency, in radians per sample, below which nothing moves, and above which the steps within a sample are too coarse."""
+LEAST, STIFFEST, QUICKEST = 1e-6, 2.0, 0.1
+"""Of a frequency, in radians per sample, below which nothing moves, and above which the steps within a sample are too coarse; and the
+least lag of the base in samples, about one such step."""
 
 
 def of_strut(p: Array) -> Array:
     """Frequency, damping each way, lag of the base."""
-    return np.clip(np.abs(p), (LEAST, 0.0, 0.0, 0.1), (STIFFEST, STIFFEST, STIFFEST, np.inf))
+    return np.clip(np.abs(p), (LEAST, 0.0, 0.0, QUICKEST), (STIFFEST, STIFFEST, STIFFEST, np.inf))
 
 
 def _run(x: Array, p: Array) -> Array:
@@ -38,7 +39,7 @@ def _struts(slowest: float, u: Array) -> Iterator[list[float]]:
     for faster, damping, way, lag in product(FASTER, DAMPINGS, WAYS, LAGS):
         w = faster * slowest
         hard = 2.0 * damping * w
-        yield [w, hard if way < 1.0 else hard / way, hard * way if way < 1.0 else hard, lag]
+        yield [w, hard * min(1.0, 1.0 / way), hard * min(1.0, way), lag]
 
 
 CARRIED_BY: Effect = Effect(

@@ -194,16 +194,23 @@ def _tones(w: Wiring, y: Any, p: Array, k: Any) -> Any:
     return y + sum(a * np.cos(f * k) + b * np.sin(f * k) for f, a, b in p.reshape(-1, 3))
 
 
+def _since(w: Wiring, k: Any, every: float, phase: float) -> Any:
+    """Samples since the last of the times that come every so many, one of them at a phase."""
+    return k - phase - every * w.ca.floor((k - phase) / every)
+
+
 def _beaten(w: Wiring, x: Any, p: Array, k: Any) -> Any:
     every = max(abs(float(p[1])), 1.0)
-    s, since = w.state(w.value(x) + p[3]), (k - p[2]) - every * w.ca.floor((k - p[2]) / every)
-    s.after = w.ca.if_else(w.ca.logic_or(since < 0.5, w.ca.fabs(x - s.x) > abs(p[0])), x, s.x)
+    s = w.state(w.value(x) + p[3])
+    s.after = w.ca.if_else(
+        w.ca.logic_or(_since(w, k, every, float(p[2])) < 0.5, w.ca.fabs(x - s.x) > abs(p[0])), x, s.x
+    )
     return s.after
 
 
 def _scanned(w: Wiring, x: Any, p: Array, k: Any) -> Any:
     every, phase = float(p[0]), float(p[1])
-    s, since = w.state(w.value(x)), k - phase - every * w.ca.floor((k - phase) / every)
+    s, since = w.state(w.value(x)), _since(w, k, every, phase)
     held = w.ca.if_else(since == 0.0, x, s.x)
     until = w.ca.fmin(every - since, 1.0)
     s.after = w.ca.if_else(until < 1.0, x, held)
