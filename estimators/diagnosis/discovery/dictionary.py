@@ -1,6 +1,6 @@
 """The dictionary: terms of the model's own signals, in every slot, with the constants that their fit starts from."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from estimators.diagnosis.discovery.form import Factor, Form, Term
+from estimators.diagnosis.discovery.form import Factor, Form, Term, flow_of
 from estimators.diagnosis.discovery.recursion_kernels import factor_values
 from estimators.diagnosis.record.measurement import switched
 
@@ -48,12 +48,17 @@ SLOW = (8.0, 32.0, 128.0)  # time constants of slow states in samples over the m
 BELOW = 0.15  # how far below the range a root's or logarithm's zero starts, in spans
 
 
+NONE = -1
+
+
 @dataclass(frozen=True)
 class Candidate:
     """Terms to be added together: the last one acts, those before it are slow states that it reads."""
 
     terms: tuple[Term, ...]
 
+    moves: int = NONE  # the chain whose mobility it is
+    
     @property
     def slow(self) -> int:
         """Number of slow states."""
@@ -134,6 +139,8 @@ def candidates(
     square = lambda name: Factor(Kind.SQUARE, name, float(signals[name].mean()))
     for a in names:
         for b in names:
+            if a[0] == "v" and b in y and a[1:] != b[1:]:  # centrifugal, of an inertia that turns with the other
+                out += [Candidate((Term((wave, square(a))),)) for wave in _waves(b, signals[b], zeros, (Kind.SIN,))]
             if a != b:
                 out += [
                     Candidate((Term((f(a), centred(b))),)) for f in (magnitude, square)[a not in crossing :]
@@ -141,7 +148,7 @@ def candidates(
                 out += [Candidate((Term((sign(a), centred(b))),))] if a[0] in "vu" and a in crossing else []
                 out += [Candidate((Term((sign(a), square(b))),))] if a[0] == "v" and a[1:] != b[1:] else []
                 out += (
-                    [Candidate((Term((square(a), square(b))),))]
+                    [Candidate((Term((square(a), f(b))),)) for f in (centred, square)]
                     if a[0] == "v" and b in y and a[1:] != b[1:]
                     else []
                 )
@@ -155,12 +162,31 @@ def candidates(
             flow = Factor(Kind.SIGNED_ROOT, d.name, zeros[d.name]), Factor(Kind.LINEAR, d.name, zeros[d.name])
             out += [Candidate((Term((f, linear(b))),)) for f in flow]
     out += _slow(names, signals, zeros, samples, y, u, v)
+    for i in range(ny):
+        out += [Candidate((Term((f, Factor(Kind.LINEAR, flow_of(i)))),), moves=i) for f in _shares(signals, zeros, [*y, *u])]
     two_levels = {name for name in u if switched(signals[name])}
     return [
         c
         for c in out
         if not any(f.signal in two_levels and f.kind != Kind.LINEAR for t in c.terms for f in t.factors)
     ]
+
+
+def _shares(signals: Mapping[str, Array], zeros: Mapping[str, float], names: Sequence[str]) -> list[Factor]:
+    """Shares of a mobility: straight in a signal, its square about its middle or the user's zero, and in turns of an output."""
+    out = []
+    for name in names:
+        x = signals[name]
+        mid, zero = float(x.mean()), zeros.get(name, 0.0)
+        out += [Factor(Kind.LINEAR, name, mid)] + [Factor(Kind.SQUARE, name, c) for c in sorted({mid, zero})]
+        out += _waves(name, x, zeros, (Kind.COS,)) if name[0] == "y" else []
+    return out
+
+
+def _waves(name: str, x: Array, zeros: Mapping[str, float], kinds: Sequence[int]) -> list[Factor]:
+    """Turns of a signal with free phase and wave number."""
+    centres = {float(x.mean()), zeros.get(name, 0.0)}
+    return [Factor(k, name, c, w / float(x.std()), (True, True)) for k in kinds for c in sorted(centres) for w in PERIODS]
 
 
 def _slow(names, signals, zeros, samples, y, u, v) -> list[Candidate]:

@@ -18,6 +18,11 @@ NOTHING = np.zeros((0, 4), np.int64), np.zeros(0), np.zeros((0, 3), np.int64)  #
 FREE, LAST = -1, -2  # how a force enters: with taps of its own, or in the highest derivative alone
 
 
+def flow_of(chain: int) -> str:
+    """The signal by which a chain's first state, its output, moves of itself: its momentum, over the inertia."""
+    return f"f{chain}"
+
+
 @dataclass(frozen=True)
 class Factor:
     """A function (see `recursion_kernels.factor`) of one signal; p and q are fitted where `free` says so."""
@@ -50,9 +55,9 @@ class Difference:
 
 @dataclass(frozen=True)
 class Term:
-    """A product of factors in a slot: "force" into a chain, "output" on top of it, or "slow" into a slow state.
+    """A product of factors in a slot: "force" into a chain, "output" on top of it, "mobility" of it, or "slow" into a slow state.
 
-    A force enters along an input (number >= 0: that input is replaced by itself plus the term), with taps of its own
+    A mobility is a share of the chain's own `flow`, by which its output moves the more: its inertia, or its capacity, is less. A force enters along an input (number >= 0: that input is replaced by itself plus the term), with taps of its own
     (FREE) or in the highest derivative alone (LAST). A slow state follows its term with a rate near `rate`.
     """
 
@@ -146,7 +151,7 @@ class Assembly:
             [f"y{i}" for i in range(ny)] + [f"v{i}" for i in range(ny)] + [f"u{j}" for j in range(nu)]
         )
         self.signals += [f"du{j}" for j in range(nu)] + [f"s{m}" for m in range(len(slow))]
-        self.signals += [d.name for d in form.differences]
+        self.signals += [d.name for d in form.differences] + [flow_of(i) for i in range(ny)]
         self.bounds = np.tile([-np.inf, np.inf], (len(self.signals), 1))
         self.bounds[: len(form.bounds)] = np.array(form.bounds).reshape(-1, 2)
         for d in form.differences:
@@ -208,6 +213,13 @@ class Assembly:
             T[2 * ny + nu + j, 1 + nu + j] = 1.0
         for m in range(slow):
             S[2 * ny + 2 * nu + m, nx + ny + m] = 1.0
+        for i, n in enumerate(self.form.orders):
+            row, f = self.signals.index(flow_of(i)), int(self.first[i])
+            S[row, f + 1 : f + 2] = float(n > 1)  # what the first state's own equation adds in one pace
+            self._linear.append((self.alphas[i].start, 3, row, f, -1.0))
+            self._linear += [(int(number), 4, row, 1 + j, 1.0) for j, number in enumerate(self.betas[i][:, 0])]
+            at = self.alphas[i].stop + nu * n
+            self._linear += [(at, 4, row, 0, 1.0)] if n == 1 else []
         for difference in self.form.differences:
             row = self.signals.index(difference.name)
             for name, weight in zip((difference.first, difference.second), difference.weights, strict=True):
@@ -245,6 +257,8 @@ class Assembly:
         f, n, pace = int(self.first[i]), self.form.orders[i], self.form.paces[i]
         if term.slot == "output":
             self._linear.append((at, 7, i, t, 1.0))
+        elif term.slot == "mobility":
+            self._linear.append((at, 2, f, t, pace))
         elif term.slot == "force" and term.along == FREE:
             self._linear += [(at + m, 2, f + m, t, pace) for m in range(n)]
         elif term.slot == "force" and term.along == LAST:

@@ -148,6 +148,8 @@ class DiscoveredModel:
         term, taps = self.resolved(theta)[number]
         axes = self.axes
         size = float(np.prod([axes[f.signal].scale ** -DEGREE[f.kind] for f in term.factors]))
+        if term.slot == "mobility":
+            return float(taps[0]) * size
         if term.slot == "output":
             return float(taps[0]) * size * float(self.scales.sy[term.chain])
         if term.along >= 0:
@@ -189,6 +191,8 @@ class DiscoveredModel:
         return bool(np.any(swinging & (-poles.real < SWINGS * np.abs(poles))))
 
     def _unit(self, term: Term) -> str:
+        if term.slot == "mobility":
+            return "1"
         if term.slot == "output":
             return self.names[f"y{term.chain}"][1]
         if term.along >= 0:
@@ -314,9 +318,12 @@ class DiscoveredModel:
         for i in range(len(self.form.orders)):
             label, unit = self.names[f"y{i}"]
             forces = [f.text for f in found if f.slot == "force" and f.output == i]
+            shares = [f.text for f in found if f.slot == "mobility" and f.output == i]
             maps = [f.text for f in found if f.slot == "output" and f.output == i]
             if forces:
                 lines.append(f"force on {label} ({self._force_unit(i)[0]}) = " + summed(forces))
+            if shares:
+                lines.append(f"mobility of {label} (inverse inertia or capacity, relative) = 1 + " + summed(shares))
             if maps:
                 lines.append(f"{label} read (in {unit or 'its units'}) = {label} + " + summed(maps))
         return "; ".join(lines)

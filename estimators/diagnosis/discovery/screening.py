@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from estimators.diagnosis.discovery.dictionary import Candidate, candidates, placed, values
+from estimators.diagnosis.discovery.dictionary import NONE, Candidate, candidates, placed, values
 from estimators.diagnosis.discovery.fitting import Fitted, Piece, run_piece, start_state
-from estimators.diagnosis.discovery.form import FREE, LAST, Assembly, Term
+from estimators.diagnosis.discovery.form import FREE, LAST, Assembly, Term, flow_of
 from estimators.residual.algebra import thin_svd
 
 Array = NDArray[Any]
@@ -72,6 +72,7 @@ def _measured(asm: Assembly, own: dict[str, Array], piece: Piece, y: Array) -> d
         better = own[f"y{i}"] + gaussian_filter1d(e, SMOOTH / pace, mode="nearest")
         out[f"y{i}"] = better
         out[f"v{i}"] = np.diff(better, prepend=better[:1]) / asm.form.steps[i]
+        out[flow_of(i)] = np.diff(better, append=better[-1:]) / pace
     return out | {d.name: d.of(out) for d in asm.form.differences}
 
 
@@ -224,9 +225,12 @@ def _gains(fitted: Fitted, listed, residual: Array, X: Array, size: Array, share
     betas = Assembly(form).betas
     out: list[Screened] = []
 
+    moved = np.array([c.moves for c in listed])
+
     def add(slot: str, chain: int, along: int, k: Array, gain: Array) -> None:
         """k (m, taps) coefficients, gain (m,)."""
-        for c in np.flatnonzero(np.isfinite(gain) & (gain > 0)):
+        own = moved == (chain if slot == "mobility" else NONE)
+        for c in np.flatnonzero(own & np.isfinite(gain) & (gain > 0)):
             out.append(Screened(listed[c], slot, chain, along, k[c] / size[c], float(gain[c] * share)))
 
     for i, n in enumerate(form.orders):
@@ -238,6 +242,8 @@ def _gains(fitted: Fitted, listed, residual: Array, X: Array, size: Array, share
         if n > 1:
             k = np.linalg.solve(Gs, (gi / scale)[:, :, None])[:, :, 0] / scale
             add("force", i, FREE, k, np.einsum("mn,mn->m", k, gi))
+        first_one = gi[:, :1] / scale[:, :1] ** 2
+        add("mobility", i, FREE, first_one, first_one[:, 0] * gi[:, 0])
         last = gi[:, -1:] / scale[:, -1:] ** 2
         add("force", i, LAST, last, last[:, 0] * gi[:, -1])
         pairs = _pairs(listed, i, LAST, Xi[:, -1], gi[:, -1], size, share)
@@ -260,7 +266,7 @@ def _pairs(listed, i: int, along: int, X: Array, g: Array, size: Array, share: f
     A product with a difference, as a flow that carries warmth, is two terms of which neither need explain anything alone; a curve
     of an input may be two.
     """
-    at = np.flatnonzero([c.slow == 0 for c in listed])
+    at = np.flatnonzero([c.slow == 0 and c.moves == NONE for c in listed])
     X, g = X[:, at], g[at]
     scale = np.sqrt(np.einsum("nm,nm->m", X, X))
     fine = scale > 0

@@ -122,6 +122,8 @@ def grown(fitted: Fitted, s: Screened, pieces: Sequence[Piece], rounds: int) -> 
     return None
 
 
+AXIS = 2
+"""Poles of an inertia on a spring, which axes that push each other have however many the linear model takes to mimic that."""
 FAST = 0.7
 """What the pole that a longer chain starts with forgets in a sample: a lag that sampling hardly resolves changes least at first."""
 
@@ -130,6 +132,8 @@ def lengthened(fitted: Fitted, chain: int, pieces: Sequence[Piece], rounds: int)
     """The model with a chain one longer, fitted by simulation error from where it is the same: numerators, denominator and states
     times the same fast pole. A lag beside what is missing shows only once that is there."""
     form, theta = fitted.form, fitted.theta
+    if any(t.slot == "mobility" and t.chain == chain for t in form.terms):  # its first state would be another one
+        return None
     n, first = form.orders[chain], sum(form.orders[:chain])
     c = FAST / form.paces[chain]
     longer = lambda x: np.convolve(x, (1.0, c))
@@ -211,7 +215,7 @@ def greedy_search(
     ways = [[f] for f in beam] if ny == 1 else [beam]
     if ny > 1:
         own = tuple(min(max(n, 1), max(budget.orders)) for n in own)
-        for way in dict.fromkeys((own, (min(own),) * ny)):
+        for way in dict.fromkeys((own, (min(own),) * ny, (AXIS,) * ny)):
             ways.append([f for f in beam if f.form.orders == way] or linear([way]))
     every = {id(f): f for f in (*beam, *rivals, *(f for way in ways for f in way))}
     climbed = [

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.discovery.dictionary import Kind
-from estimators.diagnosis.discovery.form import Factor, Form, Term
+from estimators.diagnosis.discovery.form import Factor, Form, Term, flow_of
 
 Array = NDArray[Any]
 # power of a signal's scale in a factor's value
@@ -56,6 +56,7 @@ def signal_axes(
     for d in form.differences:
         first, second, (centre, scale) = axes[d.first], axes[d.second], scales.centre(d)
         axes[d.name] = Axis(f"({first.label} - {second.label})", centre, scale, first.unit)
+    axes |= {flow_of(i): Axis("", 0.0, 1.0, "") for i in range(len(form.orders))}
     number = 0
     for t in terms:
         if t.slot == "slow":
@@ -96,8 +97,8 @@ def sum_of_rates(text: str, taps: Mapping[int, tuple[float, float]]) -> str:
 
 
 def term_text(term: Term, axes: Mapping[str, Axis]) -> str:
-    """A product of factors."""
-    return " * ".join(factor_text(f, axes[f.signal]) for f in term.factors)
+    """A product of factors, that of a mobility without the flow that it is a share of."""
+    return " * ".join(factor_text(f, axes[f.signal]) for f in shown(term))
 
 
 def _side(f: Factor) -> str:
@@ -105,15 +106,20 @@ def _side(f: Factor) -> str:
     return "m" if "-" in f.signal else f.signal[0]
 
 
+def shown(term: Term) -> tuple[Factor, ...]:
+    """The factors of a term but for the flow that a mobility is a share of."""
+    return term.factors[:-1] if term.slot == "mobility" else term.factors
+
+
 def _letters(term: Term) -> set[str]:
     """The kinds of the signals of a term, those of a difference too."""
-    return {n[0] for f in term.factors for n in f.signal.split("-")}
+    return {n[0] for f in shown(term) for n in f.signal.split("-")}
 
 
 def nature(term: Term) -> str:
     """Where a term of one kind of signal sits; memory or feedback makes it dynamic."""
     letters = _letters(term)
-    if letters == {"u"}:
+    if letters == {"u"} and term.slot != "mobility":
         return "static input nonlinearity"
     if term.slot == "output" and {f.signal for f in term.factors} == {f"y{term.chain}"}:
         return "static output nonlinearity"
@@ -142,6 +148,10 @@ NARROW = 0.3
 """Of a signal's standard deviation, width of a force that saturates, below which it is dry friction."""
 
 
+COUPLED = "coriolis_coupling"
+EASED = "its inertia or capacity depends on %s: the whole of its motion, inputs and losses alike, is faster or slower"
+
+
 def _couples(term: Term) -> bool:
     """Whether a force on one axis comes from rates and positions of others: centrifugal, Coriolis, an inertia they change."""
     others = {f.signal[1:] for f in term.factors if _side(f) in "yv"} - {str(term.chain)}
@@ -162,7 +172,10 @@ def _delays(term: Term) -> bool:
 def same_as(term: Term, swings: bool = True) -> str:
     """The catalogue's name for a term that says the same in a chain that can swing or not, or nothing."""
     if _couples(term):
-        return "coriolis_coupling"
+        return COUPLED
+    if term.slot == "mobility":
+        own = term.factors[0].signal == f"y{term.chain}"
+        return COUPLED if "y" in _letters(term) and not own else ("level_dependent_lag" if own else "flow_dependent_lag")
     if len(term.factors) == 2:
         plain = all(f.kind == Kind.LINEAR for f in term.factors)
         several = len({f.signal for f in term.factors}) > 1
@@ -277,6 +290,8 @@ def meaning(term: Term) -> str:
     coupling = "nonlinear coupling of the axes (product of their motions: centrifugal, Coriolis)"
     if _couples(term):
         return coupling
+    if term.slot == "mobility":
+        return EASED % {"u": "an input", "y": "a position or level"}[_side(term.factors[0])]
     if len(term.factors) == 1:
         return _single(term, term.factors[0])
     sides = [*map(_side, term.factors)]

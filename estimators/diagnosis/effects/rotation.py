@@ -164,8 +164,9 @@ def _turning(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         near = w + np.linspace(-1.0, 1.0, FINE) * (turns[1] - turns[0])
         balances = [(w, *_balance(speed, own, keep, w * angle)) for w in near]
         w, _, loss, push, c = min(balances, key=lambda found: float(found[1] @ found[1]))
+        told = loss > 0.0
         rate, still, phases = SLOW, gain, [size * np.array(phase) for phase in PHASES]
-        if loss > 0.0 and push * gain > 0.0:
+        if told:
             rate, still, phases = loss, push / loss, [c / push]
         further = np.outer(beside, [0.0, rate]).ravel()
         found: list[tuple[float, Array, Array, Any]] = []
@@ -183,7 +184,7 @@ def _turning(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
             for share in WINDOWS:
                 few = replace(channel, keep=keep & (np.arange(n) < share * n))
                 begun = [p for _, p in sorted(trials, key=lambda trial: trial[0])[:1]]
-                for phase in () if begun else phases:
+                for phase in phases if told or not begun else ():  # the whole record told it, a window may lose it
                     p = np.zeros(new.size)
                     p[:3], p[3 : new.plant_size] = (np.log(rate), 0.0, still), further
                     p[at] = [-0.5] * first + [*phase, w * still]

@@ -27,7 +27,7 @@ def headline(
 ) -> str:
     """What is missing from the system; `bears` whether the record bears the answer, so that its terms may be told."""
     several = len(outcomes) > 1
-    terms = _terms(outcomes) if bears else ""
+    terms = _terms(outcomes, top.cause) if bears else ""
     if top.cause == UNKNOWN:
         return f"{NAMELESS} ({top.nature}){': ' + terms if terms else ''}"
     name = top.cause.replace("_", " ")
@@ -71,13 +71,16 @@ def equations(outcomes: Sequence[Outcome]) -> list[str]:
     return list(dict.fromkeys(s.equation for o in outcomes for s in o.ladder.chosen.chain if s.equation))
 
 
-def _terms(outcomes: Sequence[Outcome]) -> str:
-    """The heaviest term that was discovered, with what it means, and how many more there are."""
+def _terms(outcomes: Sequence[Outcome], cause: str) -> str:
+    """The heaviest discovered term of a cause, or of all, with what it means, and how many more there are."""
     steps = [s for o in outcomes for s in o.ladder.chosen.chain if s.equation and s.adds]
     if not steps:
         return ""
-    more = sum(len(s.adds) for s in steps) - 1
-    return f"{steps[0].sentences[0]}, {steps[0].adds[0]}" + (
+    told = [pair for s in steps for pair in zip(s.sentences, s.adds, strict=True)]
+    of_cause = {t.text for o in outcomes for t in o.discovery.terms if t.same_as == cause}
+    meaning, text = next((pair for pair in told if pair[1] in of_cause), told[0])
+    more = len(told) - 1
+    return f"{meaning}, {text}" + (
         f", and {more} more term{'s' * (more > 1)}" if more else ""
     )
 

@@ -67,7 +67,9 @@ def named_plainly(parameter: str, alone: bool = False) -> str:
     known = (f"{effect}.{name}", name, *((letters + "_", letters) if digits else ()))
     word = next((key for key in known if key in PLAIN), None)
     said = PLAIN[word] if word else letters.replace("_", " ")
-    if digits and word not in known[:2]:  # in front: behind the name it would run into the value
+    if " " in name:  # words already: a digit in them is of a channel
+        said = name
+    elif digits and word not in known[:2]:  # in front: behind the name it would run into the value
         said = f"{digits}{ORDINAL.get(int(digits), 'th')} {said}"
     owners = [] if alone else [owner.replace("_", " ") for owner in reversed(path.split("."))]
     return " of ".join([said, *(owner for owner in owners if owner not in ("", said))])

@@ -15,7 +15,7 @@ from estimators.diagnosis.discovery import DiscoveredModel, discover, recursion_
 from estimators.diagnosis.discovery.answer import _late_inputs
 from estimators.diagnosis.discovery.dictionary import SHARP, Kind, candidates
 from estimators.diagnosis.discovery.fitting import forgets
-from estimators.diagnosis.discovery.form import FREE, Assembly, Factor, Form, Term
+from estimators.diagnosis.discovery.form import FREE, Assembly, Factor, Form, Term, flow_of
 from estimators.diagnosis.discovery.screening import screen
 from estimators.diagnosis.discovery.starts import linear_fit, pieces_of, scales_of
 from estimators.diagnosis.discovery.uncertainty import _wider, covariance
@@ -49,6 +49,8 @@ def rich_form() -> Form:
         Term((Factor(Kind.SIGN, "v0", 0.0, 0.4),), chain=0, along=0),
         Term((Factor(Kind.CUBE, "y0", 0.0),), "output", 1),
         Term((Factor(Kind.SIN, "y1", 0.0, 1.3, (False, True)),), chain=1, along=-2),
+        Term((Factor(Kind.COS, "y1", 0.2, 0.9, (True, True)), Factor(Kind.LINEAR, flow_of(0))), "mobility", 0),
+        Term((Factor(Kind.SQUARE, "u0", 0.3), Factor(Kind.LINEAR, flow_of(1))), "mobility", 1),
     )
     return Form((2, 1), 1, (0.3, 0.2), (0.15, 0.1), terms, feedthrough=True)
 
@@ -102,6 +104,19 @@ def test_recursion_is_its_plain_twin_and_its_sensitivities_are_exact() -> None:
         step = 1e-6 * np.eye(len(theta))[p]
         slope = (run(theta + step) - run(theta - step)) / 2e-6
         assert np.allclose(dy[:, :, p], slope, rtol=1e-5, atol=1e-7), p
+
+
+def test_a_mobility_moves_the_output_by_a_share_of_what_moves_it_anyway() -> None:
+    """Without feedthrough the first state is the output: what it gains in a sample is the linear gain times one and the share."""
+    share = Term((Factor(Kind.LINEAR, "u0", 0.0), Factor(Kind.LINEAR, flow_of(0))), "mobility", 0)
+    for orders in ((2, 1), (1, 1)):
+        form = Form(orders, 1, (0.3, 0.2), (0.15, 0.1), (share,))
+        asm, theta, d = Assembly(form), rich_theta(form), drive_of(40, form)
+        theta[-1] = 0.4
+        run = asm.fill(theta).run(np.zeros(asm.shapes[0][0]), d)
+        flow = run.signals[:, asm.signals.index(flow_of(0))]
+        assert np.std(flow) > 0.0
+        assert np.allclose(np.diff(run.y[:, 0]), (0.3 * flow * (1.0 + 0.4 * d[:, 1]))[:-1], rtol=1e-11)
 
 
 @pytest.mark.parametrize("kind", KINDS)
