@@ -58,7 +58,7 @@ class Candidate:
     terms: tuple[Term, ...]
 
     moves: int = NONE  # the chain whose mobility it is
-    
+
     @property
     def slow(self) -> int:
         """Number of slow states."""
@@ -139,8 +139,13 @@ def candidates(
     square = lambda name: Factor(Kind.SQUARE, name, float(signals[name].mean()))
     for a in names:
         for b in names:
-            if a[0] == "v" and b in y and a[1:] != b[1:]:  # centrifugal, of an inertia that turns with the other
-                out += [Candidate((Term((wave, square(a))),)) for wave in _waves(b, signals[b], zeros, (Kind.SIN,))]
+            if (
+                a[0] == "v" and b in y and a[1:] != b[1:]
+            ):  # centrifugal, of an inertia that turns with the other
+                out += [
+                    Candidate((Term((wave, square(a))),))
+                    for wave in _waves(b, signals[b], zeros, (Kind.SIN,))
+                ]
             if a != b:
                 out += [
                     Candidate((Term((f(a), centred(b))),)) for f in (magnitude, square)[a not in crossing :]
@@ -163,7 +168,10 @@ def candidates(
             out += [Candidate((Term((f, linear(b))),)) for f in flow]
     out += _slow(names, signals, zeros, samples, y, u, v)
     for i in range(ny):
-        out += [Candidate((Term((f, Factor(Kind.LINEAR, flow_of(i)))),), moves=i) for f in _shares(signals, zeros, [*y, *u])]
+        out += [
+            Candidate((Term((f, Factor(Kind.LINEAR, flow_of(i)))),), moves=i)
+            for f in _shares(signals, zeros, [*y, *u])
+        ]
     two_levels = {name for name in u if switched(signals[name])}
     return [
         c
@@ -186,7 +194,12 @@ def _shares(signals: Mapping[str, Array], zeros: Mapping[str, float], names: Seq
 def _waves(name: str, x: Array, zeros: Mapping[str, float], kinds: Sequence[int]) -> list[Factor]:
     """Turns of a signal with free phase and wave number."""
     centres = {float(x.mean()), zeros.get(name, 0.0)}
-    return [Factor(k, name, c, w / float(x.std()), (True, True)) for k in kinds for c in sorted(centres) for w in PERIODS]
+    return [
+        Factor(k, name, c, w / float(x.std()), (True, True))
+        for k in kinds
+        for c in sorted(centres)
+        for w in PERIODS
+    ]
 
 
 def _slow(names, signals, zeros, samples, y, u, v) -> list[Candidate]:

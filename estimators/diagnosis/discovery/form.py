@@ -217,7 +217,9 @@ class Assembly:
             row, f = self.signals.index(flow_of(i)), int(self.first[i])
             S[row, f + 1 : f + 2] = float(n > 1)  # what the first state's own equation adds in one pace
             self._linear.append((self.alphas[i].start, 3, row, f, -1.0))
-            self._linear += [(int(number), 4, row, 1 + j, 1.0) for j, number in enumerate(self.betas[i][:, 0])]
+            self._linear += [
+                (int(number), 4, row, 1 + j, 1.0) for j, number in enumerate(self.betas[i][:, 0])
+            ]
             at = self.alphas[i].stop + nu * n
             self._linear += [(at, 4, row, 0, 1.0)] if n == 1 else []
         for difference in self.form.differences:

@@ -323,7 +323,9 @@ class DiscoveredModel:
             if forces:
                 lines.append(f"force on {label} ({self._force_unit(i)[0]}) = " + summed(forces))
             if shares:
-                lines.append(f"mobility of {label} (inverse inertia or capacity, relative) = 1 + " + summed(shares))
+                lines.append(
+                    f"mobility of {label} (inverse inertia or capacity, relative) = 1 + " + summed(shares)
+                )
             if maps:
                 lines.append(f"{label} read (in {unit or 'its units'}) = {label} + " + summed(maps))
         return "; ".join(lines)

@@ -175,7 +175,11 @@ def same_as(term: Term, swings: bool = True) -> str:
         return COUPLED
     if term.slot == "mobility":
         own = term.factors[0].signal == f"y{term.chain}"
-        return COUPLED if "y" in _letters(term) and not own else ("level_dependent_lag" if own else "flow_dependent_lag")
+        return (
+            COUPLED
+            if "y" in _letters(term) and not own
+            else ("level_dependent_lag" if own else "flow_dependent_lag")
+        )
     if len(term.factors) == 2:
         plain = all(f.kind == Kind.LINEAR for f in term.factors)
         several = len({f.signal for f in term.factors}) > 1

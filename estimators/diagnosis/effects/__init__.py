@@ -8,6 +8,7 @@ from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Sizes, Sl
 from estimators.diagnosis.effects.fed import SEVERAL
 from estimators.diagnosis.effects.input import INPUT
 from estimators.diagnosis.effects.loops import LOOPS
+from estimators.diagnosis.effects.loops.ageing import AGED
 from estimators.diagnosis.effects.output import OUTPUT, TIMING
 from estimators.diagnosis.effects.path import PATH, STORE
 from estimators.diagnosis.effects.plant import MODULATED, PLANT
@@ -21,7 +22,7 @@ from oed.errors import InputError
 __all__ = ["CATALOGUE", "Clock", "Effect", "Nature", "Sizes", "Slot", "named"]
 
 CATALOGUE: tuple[Effect, ...] = (
-    *INPUT, *PROFILED, *LOOPS, *PROCESS, *SEVERAL, *PLANT, *ROTATION, *MODULATED, *PATH, *STORE, *OUTPUT, *FOLDING, *SENSORS, *TIMING, *ADDED, *NOISE,
+    *INPUT, *PROFILED, *LOOPS, *PROCESS, *SEVERAL, *PLANT, *ROTATION, *MODULATED, *AGED, *PATH, *STORE, *OUTPUT, *FOLDING, *SENSORS, *TIMING, *ADDED, *NOISE,
 )  # fmt: skip
 """Every effect that the diagnosis knows; hand in more with `diagnose(..., effects=[*CATALOGUE, mine])`."""
 

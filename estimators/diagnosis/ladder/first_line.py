@@ -80,9 +80,7 @@ def _terms(outcomes: Sequence[Outcome], cause: str) -> str:
     of_cause = {t.text for o in outcomes for t in o.discovery.terms if t.same_as == cause}
     meaning, text = next((pair for pair in told if pair[1] in of_cause), told[0])
     more = len(told) - 1
-    return f"{meaning}, {text}" + (
-        f", and {more} more term{'s' * (more > 1)}" if more else ""
-    )
+    return f"{meaning}, {text}" + (f", and {more} more term{'s' * (more > 1)}" if more else "")
 
 
 def _known(o: Outcome, effect: str) -> dict[str, tuple[float, float, str]]:

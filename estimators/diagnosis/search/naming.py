@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects import Nature, named
+from estimators.diagnosis.effects.loops.ageing import WORN
 from estimators.diagnosis.effects.loops.recycled import RECYCLE
 from estimators.diagnosis.effects.path import STORE_CURVE
-from estimators.diagnosis.effects.plant import MOVING, SWINGS, WORN
+from estimators.diagnosis.effects.plant import MOVING, SWINGS
 from estimators.diagnosis.effects.process import FILLED, THROUGH, at_once
 from estimators.diagnosis.effects.sensing.folding import RECTIFIED
 from estimators.diagnosis.model.errors import parameters_of

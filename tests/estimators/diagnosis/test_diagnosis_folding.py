@@ -6,7 +6,7 @@ from scipy.linalg import expm
 
 from estimators import diagnose
 from estimators.diagnosis.effects import named
-from estimators.diagnosis.effects.plant import leaky
+from estimators.diagnosis.effects.loops.ageing import leaky
 from estimators.diagnosis.policy import Setting
 from oed.data import Record
 

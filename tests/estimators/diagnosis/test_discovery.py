@@ -49,7 +49,9 @@ def rich_form() -> Form:
         Term((Factor(Kind.SIGN, "v0", 0.0, 0.4),), chain=0, along=0),
         Term((Factor(Kind.CUBE, "y0", 0.0),), "output", 1),
         Term((Factor(Kind.SIN, "y1", 0.0, 1.3, (False, True)),), chain=1, along=-2),
-        Term((Factor(Kind.COS, "y1", 0.2, 0.9, (True, True)), Factor(Kind.LINEAR, flow_of(0))), "mobility", 0),
+        Term(
+            (Factor(Kind.COS, "y1", 0.2, 0.9, (True, True)), Factor(Kind.LINEAR, flow_of(0))), "mobility", 0
+        ),
         Term((Factor(Kind.SQUARE, "u0", 0.3), Factor(Kind.LINEAR, flow_of(1))), "mobility", 1),
     )
     return Form((2, 1), 1, (0.3, 0.2), (0.15, 0.1), terms, feedthrough=True)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
-from estimators.diagnosis.effects.plant import leaky
+from estimators.diagnosis.effects.loops.ageing import leaky
 from estimators.diagnosis.effects.profiled import firm
 
 Array = NDArray[Any]

@@ -11,8 +11,8 @@ from estimators.diagnosis.effects.effect import Clock, Effect
 from estimators.diagnosis.effects.input import aside
 from estimators.diagnosis.effects.kernels.recursion_kernels import LEAST_PACE, WITHIN, warm_rest
 from estimators.diagnosis.effects.loops import play_widths
+from estimators.diagnosis.effects.loops.ageing import MOST_WORN
 from estimators.diagnosis.effects.path import curve_of_charge
-from estimators.diagnosis.effects.plant import MOST_WORN
 from estimators.diagnosis.effects.process import Passing
 from estimators.diagnosis.effects.sensing.gains import law_of
 from estimators.diagnosis.effects.sensing.turns import TOP

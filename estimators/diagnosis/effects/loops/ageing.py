@@ -1,0 +1,138 @@
+"""What a gain or a lag before the linear part comes to with time and use: worn, tired, warm, run in.
+
+The gain of what is used up or warmed follows a slow hidden state; what ages follows the clock.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, level_before
+
+Array = NDArray[Any]
+SOON, SOONEST, SLOWEST = 0.4, 0.02, 0.999
+"""Part of the record in which a lag does most of its change: the start, and the least; slowest pole that it is compared with."""
+LAGS = ((0.03, 0.3), (0.1, 1.0), (0.7, -0.6))
+"""Lags at the start of a record and by how much they grow, over the slowest time constant, that are tried."""
+CHANGES = (-0.25, 0.3, 0.8)  # relative changes of a coefficient over the record that are tried
+USES = (0.3, 1.0, 3.0)  # share of a gain that the mean input uses up, of what is left of it, that are tried
+WEARS, MOST_WORN = (1.0, 5.0, 25.0), 4.0
+"""What all that passes in a record adds to a resistance of 1, that is tried; the largest power of it that a gain falls with: a cake
+under a given pressure has a half, a given flow through it 1, more is nearly exponential."""
+EXCESSES, AGEING = (-0.5, 0.6, 2.0), (0.05, 0.15, 0.4)
+"""What a gain that settles has more of itself at the record's start than at the end, and its time constants in records, that are tried."""
+MEMORIES = (0.05, 0.2)  # of the record: time constants of a slow state that are tried
+
+
+def leaky(x: Array, time: float) -> Array:
+    """Leaky integral of unit gain of a signal, with a time constant in samples; it rests where the signal stood before.
+
+    Infinite where that is less than a sample: what follows at once is no state, and says nothing of its time.
+    """
+    from scipy.signal import lfilter
+
+    if abs(time) < 1.0:
+        return np.full(len(x), np.inf)
+    pole = float(np.exp(-1.0 / abs(time)))
+    level = level_before(x)
+    return level + np.asarray(lfilter([1.0 - pole], [1.0, -pole], x - level))
+
+
+def _tired(x: Array, p: Array, clock: Clock) -> Array:
+    from estimators.diagnosis.effects.kernels.recursion_kernels import used_up
+
+    use, recovery = abs(float(p[0])), abs(float(p[1])) + 1e-300
+    return used_up(np.ascontiguousarray(x), use, recovery, level_before(x))
+
+
+def _worn(x: Array, p: Array, clock: Clock) -> Array:
+    """What has passed, in the middle of each sample, counted from the record on: an experiment begins with what is clean."""
+    through = np.where(np.arange(len(x)) < clock.lead, 0.0, np.abs(x))
+    passed = np.cumsum(through) - 0.5 * through
+    return x * (1.0 + abs(float(p[0])) * passed) ** -float(np.clip(p[1], 0.0, MOST_WORN))
+
+
+def _settling(x: Array, p: Array, clock: Clock) -> Array:
+    return x * (1.0 + p[0] * np.exp(-np.maximum(clock.turn, 0.0) / max(abs(float(p[1])), SOONEST)))
+
+
+def _with_wear(s: Sizes) -> Grid:
+    total = float(np.sum(np.abs(s.u))) + 1e-300
+    return [[f / total, power] for f in WEARS for power in (0.5, 1.0)], [1.0 / total, 0.5]
+
+
+def _warmed(x: Array, p: Array, clock: Clock) -> Array:
+    warm = leaky(x**2, p[1])
+    return x * (1.0 + p[0] * warm) if np.all(np.isfinite(warm)) else warm
+
+
+def _with_use(s: Sizes) -> Grid:
+    n, size = len(s.u), float(np.mean(np.abs(s.u))) + 1e-300
+    return [[f / (m * n * size), 1.0 / (m * n)] for f in USES for m in MEMORIES], [
+        10.0 / (n * size),
+        10.0 / n,
+    ]
+
+
+def with_heat(s: Sizes) -> Grid:
+    """Shares of the squared input and time constants of a slow state that it feeds."""
+    size = s.su**2 + float(np.mean(s.u)) ** 2
+    return [[f / size, m * len(s.u)] for f in CHANGES for m in MEMORIES], [1.0 / size, float(len(s.u)) / 10.0]
+
+
+def _slowing(x: Array, p: Array, clock: Clock) -> Array:
+    from estimators.diagnosis.effects.kernels.recursion_kernels import lagged
+
+    times = np.abs(p[0]) - p[1] * np.expm1(-np.maximum(clock.turn, 0.0) / max(abs(float(p[2])), SOONEST))
+    return lagged(np.ascontiguousarray(x), times) if times.min() >= 0.0 else np.full(len(x), np.inf)
+
+
+def _slowings(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """The lag takes the place of one of the linear model's poles, or of all but one: they bent to stand for what it is on average."""
+    from estimators.diagnosis.effects.profiled import ended, firm
+    from estimators.diagnosis.model.linear import fit_linear
+    from estimators.diagnosis.model.structure import Part
+
+    s = base.structure
+    if s.layout != "tf" or s.effects or s.order < 1:
+        return
+    for order in sorted({1, max(s.order - 1, 1)}):
+        few = fit_linear(channel, replace(s, order=order, taps=min(s.taps, order)))
+        poles = np.abs(np.roots(np.concatenate(([1.0], few.p[:order]))))
+        slow = -1.0 / np.log(min(max(float(poles.max()), 0.05), SLOWEST))
+        begun = [np.concatenate((few.p, [a * slow, b * slow, SOON])) for a, b in LAGS]
+        fits = ended(channel, few, Part(SLOWING, s.inputs[0]), begun, [slow, slow, SOON])
+        yield from (f for f in fits if firm(base, float(np.sum(f.residual**2))))
+
+
+SLOWING = Effect(
+    key="lag_drift", cause="parameter_drift", family="drifts", nature=Nature.TIME, slot=Slot.OUTPUT, memory=True, linear=True, trials=10,
+    sentence="one lag grows with time, or shrinks, and nears an end: a sensor that is fouled", apply=_slowing, search=_slowings,
+    parameters={"lag": "sample", "growth": "sample", "memory": "record"},
+)  # fmt: skip
+
+SETTLES = Effect(
+    key="gain_settles", cause="gain_drift", family="drifts", nature=Nature.TIME, slot=Slot.INPUT, trials=10, apply=_settling,
+    sentence="the gain falls with time, or grows, and nears an end: a catalyst, a lamp that runs in",
+    starts=lambda s: ([[more, m] for more in EXCESSES for m in AGEING], [1.0, 0.1]), parameters={"more": "1", "memory": "record"},
+)  # fmt: skip
+WORN = Effect(
+    key="gain_worn", cause="slow_hidden_state", family="heat", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=10, apply=_worn,
+    sentence="the gain falls with all that has passed since the record began: a filter that clogs, a catalyst, a tool",
+    starts=_with_wear, parameters={"wear": "1/(u sample)", "power": "1"},
+)  # fmt: skip
+AGED = (
+    Effect(key="gain_fatigue", cause="slow_hidden_state", family="heat", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=10, apply=_tired,
+           sentence="the gain is used up by the input and recovers slowly: fatigue, a depleted store", starts=_with_use,
+           parameters={"use": "1/(u sample)", "recovery": "1/sample"}),
+    SETTLES,
+    WORN,
+    Effect(key="gain_heat", cause="slow_hidden_state", family="heat", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=10,
+           apply=_warmed,
+           sentence="the gain follows a slow state that the squared input feeds: heat", starts=with_heat,
+           parameters={"share": "1/u^2", "time": "sample"}),
+    SLOWING,
+)  # fmt: skip
