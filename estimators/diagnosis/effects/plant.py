@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot
 from estimators.diagnosis.effects.input import LEAST
-from estimators.diagnosis.effects.loops.ageing import AGEING, CHANGES, SOONEST, leaky, with_heat
+from estimators.diagnosis.effects.loops.ageing import CHANGES, leaky, with_heat
 
 Array = NDArray[Any]
 
@@ -220,9 +220,11 @@ def _time(U: Array, channel: int, p: Array, clock: Clock) -> Array:
 
 
 def _nearing(U: Array, channel: int, p: Array, clock: Clock) -> Array:
-    """Time, which slows down with a time constant in records, the last parameter."""
-    pace = max(abs(float(p[-1])), SOONEST)
-    return -pace * np.expm1(-np.maximum(clock.turn, 0.0) / pace)
+    """From none at the start to one at the record's end, ever more slowly by a rate per record, the last parameter; below zero ever
+    faster, and evenly at none."""
+    rate = float(np.clip(p[-1], -FASTEST, FASTEST))
+    rate = rate if abs(rate) > STEADY else STEADY
+    return np.expm1(-rate * np.maximum(clock.turn, 0.0)) / np.expm1(-rate)
 
 
 def _heat(U: Array, channel: int, p: Array, clock: Clock) -> Array:
@@ -254,17 +256,24 @@ def _coefficient(
     )  # fmt: skip
 
 
+FURTHER, RATES = (1.0, 2.5), (2.5, 7.0)
+"""Times the changes of a steady drift, and rates per record, that are tried of one that nears an end: most of it is over early."""
+FASTEST, STEADY = 50.0, 1e-6
+"""Rates per record: of what is over within a few samples, and of what no number tells from a steady drift."""
+
+
 def _ending(drift: Effect) -> Effect:
     """A steady drift whose coefficient nears an end instead: what cures, settles, runs in."""
-    starts = drift.starts
+    starts, (slope, *others) = drift.starts, drift.parameters.items()
 
     def grid(s: Sizes) -> Grid:
         begun, sizes = starts(s)
-        return [[c[0] / m, *c[1:], m] for c in begun for m in AGEING[1:]], [*sizes, 0.3]
+        return [[f * c[0], *c[1:], rate] for c in begun for f in FURTHER for rate in RATES], [*sizes, 1.0]
 
     return replace(
         drift, key=drift.key.replace("_drift", "_settles"), sentence=drift.sentence.replace("steadily with time", "with time towards an end"),
-        signal=_nearing, starts=grid, parameters={**drift.parameters, "memory": "record"}, extends=drift.key,
+        parameters={"change": {"1/record": "1"}.get(slope[1], slope[1].removesuffix("/record")), **dict(others), "rate": "1/record"},
+        signal=_nearing, starts=grid, extends=drift.key,
     )  # fmt: skip
 
 
@@ -273,48 +282,15 @@ def _inertias(s: Sizes) -> Grid:
 
 
 DRIFTS = (
-    _coefficient(
-        "inertia_drift",
-        "parameter_drift",
-        Nature.TIME,
-        "the inertia changes steadily with time",
-        _inertia_by,
-        _time,
-        _inertias,
-        {"slope": "1/record", "damping": "sample"},
-    ),
-    _coefficient(
-        "stiffness_drift",
-        "parameter_drift",
-        Nature.TIME,
-        "the stiffness changes steadily with time",
-        _stiffness_by,
-        _time,
-        _with_time,
-        {"slope": "1/record"},
-    ),
-    _coefficient(
-        "resonance_drift",
-        "parameter_drift",
-        Nature.TIME,
-        "the stiffness that it is driven through changes steadily with time: "
-        "the resonance moves, the gain stays",
-        _spring_by,
-        _time,
-        _with_time,
-        {"slope": "1/record"},
-    ),
-    _coefficient(
-        "damping_drift",
-        "parameter_drift",
-        Nature.TIME,
-        "the damping changes steadily with time",
-        _damping_by,
-        _time,
-        lambda s: ([[f * s.damping] for f in CHANGES], [s.damping]),
-        {"slope": "sample/record"},
-    ),
-)
+    _coefficient("inertia_drift", "parameter_drift", Nature.TIME, "the inertia changes steadily with time", _inertia_by, _time,
+                 _inertias, {"slope": "1/record", "damping": "sample"}),
+    _coefficient("stiffness_drift", "parameter_drift", Nature.TIME, "the stiffness changes steadily with time", _stiffness_by,
+                 _time, _with_time, {"slope": "1/record"}),
+    _coefficient("resonance_drift", "parameter_drift", Nature.TIME, "the stiffness that it is driven through changes steadily with time: "
+                 "the resonance moves, the gain stays", _spring_by, _time, _with_time, {"slope": "1/record"}),
+    _coefficient("damping_drift", "parameter_drift", Nature.TIME, "the damping changes steadily with time", _damping_by, _time,
+                 lambda s: ([[f * s.damping] for f in CHANGES], [s.damping]), {"slope": "sample/record"}),
+)  # fmt: skip
 MODULATED = (
     *DRIFTS,
     *map(_ending, DRIFTS),

@@ -5,24 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.estimators.diagnosis.case_parts import FINE, lag, linear
+from tests.estimators.diagnosis.case_parts import FINE, lag, linear, swing
 
-__all__ = [
-    "basin",
-    "buffer",
-    "cistern",
-    "drained",
-    "driveline",
-    "engine",
-    "in_time",
-    "joint",
-    "melting",
-    "overflowing",
-    "rectified",
-    "seat",
-    "slipping_belt",
-    "transmitter",
-]
+__all__ = ["DRIVES"]
 
 
 def _through_a_gear(u, a, seen):
@@ -159,3 +144,50 @@ def rectified(u, a):
 
 def drained(u, a):
     return _one_way(u, a, -1.0)
+
+
+def curing(u, a):
+    """A resin that stiffens under a lamp, ever more slowly."""
+    return swing(lambda x, v, f, t: 0.06 * (f - (1.0 + 1.2 * a * -np.expm1(-t / 250.0)) * x) - 0.03 * v, u)
+
+
+def icing(u, a):
+    """A beam that ice loads until no more of it sticks."""
+    return swing(lambda x, v, f, t: (0.06 * (f - x) - 0.03 * v) / (1.0 - 1.5 * a * np.expm1(-t / 250.0)), u)
+
+
+def stretching(u, a):
+    """A load on a belt that slackens as it runs in: the belt drives it, and holds it."""
+    return swing(lambda x, v, f, t: 0.06 * (1.0 + 0.5 * a * np.expm1(-t / 250.0)) * (f - x) - 0.03 * v, u)
+
+
+def parked(u, a):
+    """A wheel with an eccentric that rocks at its lowest point until the drive takes it over the top."""
+    angle, speed, out = 0.0, 0.0, np.empty(len(u))
+    for k, value in enumerate(u):
+        out[k] = speed
+        for _ in range(FINE):
+            speed += 0.03 * (value - speed - 2.6 * a * np.sin(0.12 * angle)) / FINE
+            angle += speed / FINE
+    return out
+
+
+DRIVES = {
+    # effect: maker, order of the linear model, form of the input
+    "reported_in_time": (in_time, 2, {}),
+    "sensor_rate": (transmitter, 3, {}),
+    "geared_servo": (joint, 4, {"hold": 15}),
+    "geared_load": (driveline, 3, {"hold": 15}),
+    "geared_motor": (engine, 3, {"hold": 15}),
+    "store": (buffer, 2, {"hold": 15}),
+    "store_empty": (cistern, 2, {"hold": 15}),
+    "store_full": (overflowing, 2, {"hold": 15}),
+    "outflow_root_fed": (basin, 2, {"mean": 4.0, "inputs": 2}),
+    "capacity_bump_fed": (melting, 2, {"mean": 4.0, "inputs": 2}),
+    "strut": (seat, 3, {"hold": 10}),
+    "slipping": (slipping_belt, 2, {"hold": 10}),
+    "flow_up": (rectified, 3, {"hold": 15, "mean": 1.0}),
+    "flow_down": (drained, 3, {"hold": 15, "mean": -1.0}),
+    "stiffness_settles": (curing, 2, {}), "inertia_settles": (icing, 2, {}), "resonance_settles": (stretching, 2, {}),
+    "position_periodic of a wheel that was parked": (parked, 2, {"mean": 2.6, "size": 0.5}),
+}  # fmt: skip
