@@ -71,13 +71,12 @@ def discover(
     `skip` first samples of a new record that may set its state; None: as many as a block's window.
     """
     budget = BUDGETS[budget] if isinstance(budget, str) else budget
-    delays = (
-        np.max([m.shared[1] for m in baseline.outputs], axis=0)
-        if _same_inputs(baseline, records[0])
-        else np.zeros(records[0].n_inputs, int)
-    )
+    several = [m.shared[1] for m in baseline.outputs]
+    if not _same_inputs(baseline, records[0]):
+        several = [np.zeros(records[0].n_inputs, int)]
+    delays = np.minimum(np.max(several, axis=0) - 1, np.min(several, axis=0))
     budget = replace(budget, late=_late_inputs(baseline, records[0]))
-    scales = scales_of(records, baseline.y_model, np.maximum(delays - 1, 0).astype(int))
+    scales = scales_of(records, baseline.y_model, np.maximum(delays, 0).astype(int))
     pieces = pieces_of(records, [np.ones(r.y.shape, bool) for r in records], scales)
     smooth = [(y - scales.y) / scales.sy for y in baseline.y_model]
     judge = _Judge(records, baseline, scales, pieces, skip)

@@ -24,8 +24,8 @@ TOGETHER = 2
 """Outputs whose terms are looked for in one search, as one axis may push the other: what it costs and holds in memory grows with the
 fourth power of their number. Of more, each is looked at alone."""
 LATER = 1
-"""Samples by which an input may act later on one output than on another in one search, whose models see it at one time: earlier outputs
-could not follow it."""
+"""Samples by which an input may act later on one output than on another in one search, whose models see it at one time: later outputs
+have no poles to spare for more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,11 +75,18 @@ class Discovered:
 def discovered(
     records: Sequence[Record], base: Baseline, setting: Setting, options: Options, exhausted: Sequence[bool]
 ) -> list[Discovered]:
-    """The discovered stage of every output; no search where all that it would look at is `exhausted`."""
+    """The discovered stage of every output; no search where all that it would look at is `exhausted`.
+
+    Outputs are looked at together. Where the linear models have the inputs act on some of them later, which what is missing may only
+    seem to, that stands if it betters every output: else each is looked at by itself.
+    """
     outputs = range(len(base.outputs))
-    if len(outputs) <= TOGETHER and _at_one_time(base):
+    if len(outputs) <= TOGETHER:
         both = _searched(records, base, setting, options, all(exhausted))
-        return [Discovered(i, i, records, base, *both, setting) for i in outputs]
+        found = both[0]
+        better = found.model is not None and bool(np.all(found.rmse_unused < base.rmse_unused))
+        if better or all(exhausted) or _at_one_time(base):
+            return [Discovered(i, i, records, base, *both, setting) for i in outputs]
     out = []
     for i in outputs:
         own, mine = [of_output(r, i) for r in records], base.alone(i)
