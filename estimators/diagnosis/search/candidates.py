@@ -188,15 +188,20 @@ def _wanted(menu: Menu, s: Structure) -> list[Effect]:
 
 
 def _chosen(tasks: list[_Task], top: int, explained: bool) -> list[Effect]:
-    """The effects to fit, of tasks in the order of their promise: the `top` ones, and those of which a score from the linear model says
-    little: curves that stand in `BLIND`, and what has a start that the linear model does not lead to."""
+    """The effects to fit, of tasks in the order of their promise: the `top` ones, what extends one of them in one place with it, and
+    those of which a score from the linear model says little: curves that stand in `BLIND`, and what has a start that the linear model
+    does not lead to."""
     chosen: list[Effect] = []
+    places: set[str] = set()
     wide = bool(tasks) and tasks[0].promise > LEAST_PROMISE and not explained
     blind = lambda e: e.key in BLIND or e.more is not None
     for task in tasks:
-        promising = not top or (len(chosen) < top and task.promise > LEAST_PROMISE)
+        place = task.effect.extends or task.effect.key
+        free = place in places or len(places) < top
+        promising = not top or (free and task.promise > LEAST_PROMISE)
         if task.effect not in chosen and (promising or (wide and blind(task.effect))):
             chosen.append(task.effect)
+            places.add(place)
     return chosen
 
 

@@ -140,14 +140,14 @@ PLAIN = 1.0
 search of its own in place of a score would colour it."""
 SIBLINGS = 2
 """Fits of one cause that are put before unused blocks: the closest, and a simpler one."""
-FINISHED = 6
-"""Candidates that are fitted to the end."""
+FINISHED, TO_THE_END = 6, 100
+"""Candidates that are fitted to the end, and steps that lead there: a curve of an input that has two levels lies in a long valley."""
 
 
 def _finished(channel: Channel, fits: list[Fit]) -> list[Fit]:
     """The most promising fits, fitted to the end, and the others as they are."""
     fits = sorted(fits, key=lambda f: f.criterion)
-    head = [fit(channel, f.structure, f.p, f.scales, iterations=25) for f in fits[:FINISHED]]
+    head = [fit(channel, f.structure, f.p, f.scales, iterations=TO_THE_END) for f in fits[:FINISHED]]
     return [g if g.criterion < f.criterion else f for f, g in zip(fits, head, strict=False)] + fits[FINISHED:]
 
 
