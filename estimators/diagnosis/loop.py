@@ -270,12 +270,13 @@ def _outcome(
         return None if step is None or bench.echoes(step.unused[0]) else step
 
     above = share if ladder.chosen.kind is Kind.LINEAR else left
+    spent = ladder.chosen.kind is Kind.NAMED and not left.explainable and bench.spent(named.fit)
     sought = terms.found.sought if above.explainable else above.predicted[1] > 0.0 and above.news > NEWS
-    if sought and (rest := remainder(ladder, above)) is not None:
+    if sought and not spent and (rest := remainder(ladder, above)) is not None:
         gain = paired_gain(y, ladder.chosen.unused, rest.unused, ladder.counted, setting.policy)
         if above.explainable or gain.surely(setting.policy.searched):
             ladder = climb(y, [*steps, rest], counted, setting.policy, least=least)
-    most = share.predicted[1] if share.explainable else 0.0
+    most = share.predicted[1] if share.explainable and not spent else 0.0
     ladder = over_linear(ladder, most, lambda linear: remainder(linear, share), y, setting.policy)
     # What the answer explains was no noise that an input answers.
     errors = [r.y[:, i] - ladder.chosen.simulate(r, base.blocks.window) for r in records]

@@ -96,7 +96,7 @@ def augmented(
         _scanned(channel, base, [e for e in wanted if e.search is None], best, iterations, top, needed)
     )
     yield from fits
-    if needed <= 0.0 and not (fits and not base.structure.effects and _explained(channel, base, fits)):
+    if needed <= 0.0 and not (fits and not base.structure.effects and explained(channel, base, fits)):
         for e in wanted:
             yield from _own(channel, base, e, menu)
 
@@ -161,7 +161,7 @@ def _sooner(channel: Channel, base: Fit) -> list[Fit]:
     return [fit_linear(channel, replace(s, delay=d)) for d in {s.delay // 2, 0} if d < s.delay]
 
 
-def _explained(channel: Channel, base: Fit, fits: list[Fit]) -> bool:
+def explained(channel: Channel, base: Fit, fits: list[Fit]) -> bool:
     """Whether an effect of few parameters leaves white noise of which its signals and the time tell nothing: what has a search of its own,
     and more parameters or more shapes, could do no better."""
     f = min(fits, key=lambda f: f.criterion)

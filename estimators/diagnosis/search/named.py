@@ -50,6 +50,10 @@ def linear_step(base: Baseline, i: int, rest: bool, adds: tuple[str, ...] = ()) 
     return Step(Kind.LINEAR, adds, unused, answer, size, noise=m.noise[1:], linear=True)
 
 
+NO_MORE = 1.1
+"""Times the noise, that the squared error of unused blocks may be where nothing is left but noise: what parameters cost there."""
+
+
 @dataclass(frozen=True, eq=False)
 class Bench:
     """What the trials of one output share: data, blocks, how runs start, thresholds."""
@@ -173,6 +177,13 @@ class Bench:
                 return False
             known = known.beside([lengthened(signal, self.thin, len(self.train))])
         return FREE < known.news([self.unused(f)]) < np.inf  # else there are too few samples
+
+    def spent(self, f: Fit) -> bool:
+        """Whether a fit leaves white noise, and hardly more of it in unused blocks: nothing in which a remainder could look for more."""
+        if len(f.noise) or self.thin > 1:
+            return False
+        left = (np.nan_to_num(self.train.y[:, self.output]) - self.unused(f))[self.counted]
+        return float(np.mean(left**2)) < NO_MORE * f.variance
 
     @cached_property
     def _answered(self) -> float:

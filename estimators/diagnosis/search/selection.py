@@ -14,7 +14,7 @@ from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Structure
 from estimators.diagnosis.record.paired import as_good
-from estimators.diagnosis.search.candidates import Menu, augmented, refit
+from estimators.diagnosis.search.candidates import Menu, augmented, explained, refit
 from estimators.diagnosis.search.exchange import exchanged, whole_delay
 from estimators.diagnosis.share.feedback import MATTERS, beside, between_jumps, filtered, wald
 from estimators.residual.algebra import thin_svd, unit
@@ -215,7 +215,8 @@ def attribute(
     if good:
         final = good[0].fit
         p_values[good[0].key] = good[0].p_value
-        final, rests = _more_effects(channel, final, good, menu, alpha, most, p_values, rivals)
+        if not explained(channel, white, [final]):  # else a pair could do no better
+            final, rests = _more_effects(channel, final, good, menu, alpha, most, p_values, rivals)
         final = whole_delay(channel, final)
         present = {part.key for part in final.structure.effects}
         p_values = {key: p for key, p in p_values.items() if key in present}
