@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from estimators import diagnose
+from estimators.diagnosis import loop
 from estimators.diagnosis.baseline import best_linear
+from estimators.diagnosis.effects import named
+from estimators.diagnosis.policy import Effort, Setting
 from estimators.diagnosis.remainder import (
     Limits,
     fit_remainder,
@@ -21,6 +25,7 @@ from estimators.diagnosis.remainder import (
 from estimators.diagnosis.remainder.network import Sizes
 from estimators.diagnosis.remainder.network_kernels import derivatives, free_run
 from estimators.diagnosis.remainder.trees import Trees, grown
+from estimators.diagnosis.search import selection
 from estimators.diagnosis.share import Evidence, explainable_share
 from estimators.diagnosis.share.signals import Bank
 from oed.data import Record
@@ -245,3 +250,26 @@ def test_what_follows_the_clock_is_left_to_the_clock() -> None:
     told = fit_remainder(base, [train], footing, limits=QUICK, share=clock)
     assert not told.admitted
     assert "clock" in told.why
+
+
+def _clipped(u: np.ndarray, more: float) -> np.ndarray:
+    """A limited actuator, and a gain of the second of two lags that falls with the first."""
+    x = np.asarray(lfilter([0.0, 0.2], [1.0, -0.8], np.clip(u, -0.6, 0.6)))
+    return np.asarray(lfilter([0.0, 0.3], [1.0, -0.7], x - more * x**2))
+
+
+@pytest.mark.parametrize(("more", "sought"), [(0.0, False), (0.5, True)])
+def test_a_remainder_is_looked_for_where_more_than_noise_is_left(
+    monkeypatch, more: float, sought: bool
+) -> None:
+    """With all that is missing named, what is left is as white as the noise, and in unused blocks as large: neither a second effect nor a
+    remainder could find more there."""
+    asked, paired, second = [], [], selection._more_effects
+    monkeypatch.setattr(selection, "_more_effects", lambda *rows: paired.append(1) or second(*rows))
+    monkeypatch.setattr(
+        loop, "fit_remainder", lambda *rows, **more: asked.append(1) or fit_remainder(*rows, **more)
+    )
+    train, test, _ = _pair(lambda u: _clipped(u, more), 3, 0.003)
+    found = diagnose(train, test, Setting(effects=(named("saturation"),), effort=Effort.QUICK))
+    assert found.effect == "input_saturation"
+    assert (bool(asked), bool(paired)) == (sought, sought)
