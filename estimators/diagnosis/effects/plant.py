@@ -267,7 +267,7 @@ def _ending(drift: Effect) -> Effect:
     starts, (slope, *others) = drift.starts, drift.parameters.items()
 
     def grid(s: Sizes) -> Grid:
-        begun, sizes = starts(s)
+        begun, sizes = starts(s)  # pyright: ignore[reportOptionalCall]
         return [[f * c[0], *c[1:], rate] for c in begun for f in FURTHER for rate in RATES], [*sizes, 1.0]
 
     return replace(
