@@ -48,16 +48,16 @@ SLOW = (8.0, 32.0, 128.0)  # time constants of slow states in samples over the m
 BELOW = 0.15  # how far below the range a root's or logarithm's zero starts, in spans
 
 
-NONE = -1
+NONE = -1  # chain of a candidate that is no mobility
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """Terms to be added together: the last one acts, those before it are slow states that it reads."""
+    """Terms to be added together: the last one acts, those before it are slow states that it reads. `moves` the chain whose mobility
+    it is."""
 
     terms: tuple[Term, ...]
-
-    moves: int = NONE  # the chain whose mobility it is
+    moves: int = NONE
 
     @property
     def slow(self) -> int:
@@ -139,24 +139,17 @@ def candidates(
     square = lambda name: Factor(Kind.SQUARE, name, float(signals[name].mean()))
     for a in names:
         for b in names:
-            if (
-                a[0] == "v" and b in y and a[1:] != b[1:]
-            ):  # centrifugal, of an inertia that turns with the other
-                out += [
-                    Candidate((Term((wave, square(a))),))
-                    for wave in _waves(b, signals[b], zeros, (Kind.SIN,))
-                ]
             if a != b:
                 out += [
                     Candidate((Term((f(a), centred(b))),)) for f in (magnitude, square)[a not in crossing :]
                 ]
                 out += [Candidate((Term((sign(a), centred(b))),))] if a[0] in "vu" and a in crossing else []
                 out += [Candidate((Term((sign(a), square(b))),))] if a[0] == "v" and a[1:] != b[1:] else []
-                out += (
-                    [Candidate((Term((square(a), f(b))),)) for f in (centred, square)]
-                    if a[0] == "v" and b in y and a[1:] != b[1:]
-                    else []
-                )
+                if (
+                    a[0] == "v" and b in y and a[1:] != b[1:]
+                ):  # centrifugal, of an inertia that the other sets
+                    sets = [centred(b), square(b), *_waves(Kind.SIN, b, signals[b], zeros)]
+                    out += [Candidate((Term((square(a), f)),)) for f in sets]
     for _i, name in enumerate(y):
         low, zero = float(signals[name].min()), zeros.get(name, 0.0)
         if zero < low:
@@ -181,25 +174,20 @@ def candidates(
 
 
 def _shares(signals: Mapping[str, Array], zeros: Mapping[str, float], names: Sequence[str]) -> list[Factor]:
-    """Shares of a mobility: straight in a signal, its square about its middle or the user's zero, and in turns of an output."""
+    """Shares of a mobility: straight in a signal, its square about its middle or the user's zero, and waves of an output."""
     out = []
     for name in names:
         x = signals[name]
         mid, zero = float(x.mean()), zeros.get(name, 0.0)
         out += [Factor(Kind.LINEAR, name, mid)] + [Factor(Kind.SQUARE, name, c) for c in sorted({mid, zero})]
-        out += _waves(name, x, zeros, (Kind.COS,)) if name[0] == "y" else []
+        out += _waves(Kind.COS, name, x, zeros) if name[0] == "y" else []
     return out
 
 
-def _waves(name: str, x: Array, zeros: Mapping[str, float], kinds: Sequence[int]) -> list[Factor]:
-    """Turns of a signal with free phase and wave number."""
-    centres = {float(x.mean()), zeros.get(name, 0.0)}
-    return [
-        Factor(k, name, c, w / float(x.std()), (True, True))
-        for k in kinds
-        for c in sorted(centres)
-        for w in PERIODS
-    ]
+def _waves(kind: int, name: str, x: Array, zeros: Mapping[str, float]) -> list[Factor]:
+    """Waves of a signal with free phase and wave number."""
+    centres = sorted({float(x.mean()), zeros.get(name, 0.0)})
+    return [Factor(kind, name, c, w / float(x.std()), (True, True)) for c in centres for w in PERIODS]
 
 
 def _slow(names, signals, zeros, samples, y, u, v) -> list[Candidate]:

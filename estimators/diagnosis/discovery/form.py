@@ -57,8 +57,9 @@ class Difference:
 class Term:
     """A product of factors in a slot: "force" into a chain, "output" on top of it, "mobility" of it, or "slow" into a slow state.
 
-    A mobility is a share of the chain's own `flow`, by which its output moves the more: its inertia, or its capacity, is less. A force enters along an input (number >= 0: that input is replaced by itself plus the term), with taps of its own
-    (FREE) or in the highest derivative alone (LAST). A slow state follows its term with a rate near `rate`.
+    A mobility is a share of the chain's own flow (`flow_of`) by which its output moves the more: its inertia, or its capacity, is less.
+    A force enters along an input (number >= 0: that input is replaced by itself plus the term), with taps of its own (FREE) or in the
+    highest derivative alone (LAST). A slow state follows its term with a rate near `rate`.
     """
 
     factors: tuple[Factor, ...]
@@ -215,13 +216,13 @@ class Assembly:
             S[2 * ny + 2 * nu + m, nx + ny + m] = 1.0
         for i, n in enumerate(self.form.orders):
             row, f = self.signals.index(flow_of(i)), int(self.first[i])
-            S[row, f + 1 : f + 2] = float(n > 1)  # what the first state's own equation adds in one pace
+            # all that the first state's own equation adds in one pace: the second state, or its constant
+            S[row, f + 1 : f + n] = np.arange(n - 1) == 0
             self._linear.append((self.alphas[i].start, 3, row, f, -1.0))
             self._linear += [
                 (int(number), 4, row, 1 + j, 1.0) for j, number in enumerate(self.betas[i][:, 0])
             ]
-            at = self.alphas[i].stop + nu * n
-            self._linear += [(at, 4, row, 0, 1.0)] if n == 1 else []
+            self._linear += [(self.alphas[i].stop + nu, 4, row, 0, 1.0)] if n == 1 else []
         for difference in self.form.differences:
             row = self.signals.index(difference.name)
             for name, weight in zip((difference.first, difference.second), difference.weights, strict=True):

@@ -217,14 +217,13 @@ def _basis(J: Array) -> Array:
 
 
 def _gains(fitted: Fitted, listed, residual: Array, X: Array, size: Array, share: float) -> list[Screened]:
-    """All shapes at once: own taps, highest derivative alone, along each input, on top of the output."""
+    """All shapes at once: own taps, highest derivative alone, along each input, on top of the output; mobilities in the first state."""
     form, m = fitted.form, len(listed)
     first = np.concatenate([[0], np.cumsum(form.orders)])
     X = X.reshape(len(X), -1, m)  # (N, taps of all chains then outputs, candidates)
     g = np.einsum("n,ntm->tm", residual, X, optimize=True)
     betas = Assembly(form).betas
     out: list[Screened] = []
-
     moved = np.array([c.moves for c in listed])
 
     def add(slot: str, chain: int, along: int, k: Array, gain: Array) -> None:
@@ -242,8 +241,8 @@ def _gains(fitted: Fitted, listed, residual: Array, X: Array, size: Array, share
         if n > 1:
             k = np.linalg.solve(Gs, (gi / scale)[:, :, None])[:, :, 0] / scale
             add("force", i, FREE, k, np.einsum("mn,mn->m", k, gi))
-        first_one = gi[:, :1] / scale[:, :1] ** 2
-        add("mobility", i, FREE, first_one, first_one[:, 0] * gi[:, 0])
+        state = gi[:, :1] / scale[:, :1] ** 2
+        add("mobility", i, FREE, state, state[:, 0] * gi[:, 0])
         last = gi[:, -1:] / scale[:, -1:] ** 2
         add("force", i, LAST, last, last[:, 0] * gi[:, -1])
         pairs = _pairs(listed, i, LAST, Xi[:, -1], gi[:, -1], size, share)

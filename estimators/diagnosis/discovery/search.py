@@ -132,9 +132,7 @@ def lengthened(fitted: Fitted, chain: int, pieces: Sequence[Piece], rounds: int)
     """The model with a chain one longer, fitted by simulation error from where it is the same: numerators, denominator and states
     times the same fast pole. A lag beside what is missing shows only once that is there."""
     form, theta = fitted.form, fitted.theta
-    if any(
-        t.slot == "mobility" and t.chain == chain for t in form.terms
-    ):  # its first state would be another one
+    if any((t.slot, t.chain) == ("mobility", chain) for t in form.terms):  # of another first state
         return None
     n, first = form.orders[chain], sum(form.orders[:chain])
     c = FAST / form.paces[chain]

@@ -174,12 +174,9 @@ def same_as(term: Term, swings: bool = True) -> str:
     if _couples(term):
         return COUPLED
     if term.slot == "mobility":
-        own = term.factors[0].signal == f"y{term.chain}"
-        return (
-            COUPLED
-            if "y" in _letters(term) and not own
-            else ("level_dependent_lag" if own else "flow_dependent_lag")
-        )
+        own = {"u": "flow_dependent_lag", f"y{term.chain}": "level_dependent_lag"}
+        signal = term.factors[0].signal
+        return own.get(signal, own.get(signal[0], COUPLED))
     if len(term.factors) == 2:
         plain = all(f.kind == Kind.LINEAR for f in term.factors)
         several = len({f.signal for f in term.factors}) > 1

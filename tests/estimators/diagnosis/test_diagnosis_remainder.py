@@ -259,9 +259,7 @@ def _clipped(u: np.ndarray, more: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("more", "sought"), [(0.0, False), (0.5, True)])
-def test_more_is_looked_for_where_more_than_noise_is_left(
-    monkeypatch, more: float, sought: bool
-) -> None:
+def test_more_is_looked_for_where_more_than_noise_is_left(monkeypatch, more: float, sought: bool) -> None:
     """With all that is missing named, what is left is as white as the noise, and in unused blocks as large: neither a second effect nor a
     remainder could find more there."""
     asked, paired, second = [], [], selection._more_effects
