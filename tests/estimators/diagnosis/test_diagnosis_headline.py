@@ -24,7 +24,8 @@ def outcome(key: str, chosen: Step, parameters: dict, index: int = 0) -> Made:
     named = Step(Kind.NAMED, (key,), (), None, parameters=parameters)
     chain = Made(chain=(chosen,))
     ladder = Made(chosen=named if chosen is named else chain, rungs=(Made(step=named), Made(step=chosen)))
-    return Made(index=index, ladder=ladder, named=Made(claims=(Made(key=key),)))
+    terms = (Made(text="0.5 * y^3", same_as="duffing"), Made(text="0.1 * y^2", same_as="pendulum"))
+    return Made(index=index, ladder=ladder, named=Made(claims=(Made(key=key),)), discovery=Made(terms=terms))
 
 
 @pytest.mark.parametrize("bears", [True, False])
@@ -54,7 +55,9 @@ def test_a_claim_of_coefficients_says_what_and_where():
     top = Finding(
         "cross", "mimo_cross", "linear", 0.6, 0.0, f"{EFFECTS['cross'].sentence} on output 2: {EVIDENCE}"
     )
-    other = Made(index=0, ladder=Made(chosen=Made(chain=()), rungs=()), named=Made(claims=()))
+    other = Made(
+        index=0, ladder=Made(chosen=Made(chain=()), rungs=()), named=Made(claims=()), discovery=Made(terms=())
+    )
     said = headline(top, [other, o], EFFECTS, RECORD, True)
     assert said == f"mimo cross ({EFFECTS['cross'].sentence}) on output 2"
 
@@ -69,6 +72,14 @@ def test_terms_are_the_heaviest_one_and_how_many_more():
     )
     assert headline(top, two[:1], EFFECTS, RECORD, False) == "an effect without a name (dynamic)"
     assert equations(two) == [TERMS.equation]
+
+
+def test_the_term_is_one_of_the_cause_that_is_named() -> None:
+    """Of a two-link arm "coriolis coupling" had stood before "friction that saturates with speed", a lighter term of the first output."""
+    top = Finding("", "pendulum", "dynamic", 0.6, 0.0, "")
+    assert headline(top, [outcome("", TERMS, {})], EFFECTS, RECORD, True) == (
+        "pendulum: a spring, 0.1 * y^2, and 1 more term"
+    )
 
 
 def test_what_leaves_the_range_says_by_how_much():
