@@ -111,6 +111,7 @@ def test_no_parameter_of_the_catalogue_is_said_by_its_letter():
         "per record", "y per record", "s per record", "of the record",
     ]  # fmt: skip
     assert named_plainly("y1.plays.weight2") == "2nd weight of play of plays of y1"
+    assert named_plainly("y1.term 2.at of y2") == "at of y2 of term 2 of y1"  # no "2nd at of y"
 
 
 @pytest.mark.slow
