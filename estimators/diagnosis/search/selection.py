@@ -140,15 +140,19 @@ PLAIN = 1.0
 search of its own in place of a score would colour it."""
 SIBLINGS = 2
 """Fits of one cause that are put before unused blocks: the closest, and a simpler one."""
-FINISHED, TO_THE_END = 6, 100
-"""Candidates that are fitted to the end, and steps that lead there: a curve of an input that has two levels lies in a long valley."""
+FINISHED = 6
+"""Candidates that are fitted on."""
+ON, TO_THE_END = 25, 100
+"""Further steps of those, and of the best, which others are looked for beside: a curve of an input of two levels lies in a long valley."""
 
 
 def _finished(channel: Channel, fits: list[Fit]) -> list[Fit]:
-    """The most promising fits, fitted to the end, and the others as they are."""
+    """The most promising fits, fitted on, the best of them to the end, and the others as they are."""
     fits = sorted(fits, key=lambda f: f.criterion)
-    head = [fit(channel, f.structure, f.p, f.scales, iterations=TO_THE_END) for f in fits[:FINISHED]]
-    return [g if g.criterion < f.criterion else f for f, g in zip(fits, head, strict=False)] + fits[FINISHED:]
+    criterion = lambda f: f.criterion
+    on = lambda f, n: min(f, fit(channel, f.structure, f.p, f.scales, iterations=n), key=criterion)
+    head = sorted((on(f, ON) for f in fits[:FINISHED]), key=criterion)
+    return [*(on(f, TO_THE_END) for f in head[:1]), *head[1:], *fits[FINISHED:]]
 
 
 def _settled(channel: Channel, fits: list[Fit], count: int) -> list[Fit]:
