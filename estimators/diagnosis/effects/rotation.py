@@ -184,9 +184,8 @@ def _turning(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
             for share in WINDOWS:
                 few = replace(channel, keep=keep & (np.arange(n) < share * n))
                 begun = [p for _, p in sorted(trials, key=lambda trial: trial[0])[:1]]
-                for phase in (
-                    phases if told or not begun else ()
-                ):  # the whole record told it, a window may lose it
+                # what the whole record told, a window may lose
+                for phase in phases if told or not begun else ():
                     p = np.zeros(new.size)
                     p[:3], p[3 : new.plant_size] = (np.log(rate), 0.0, still), further
                     p[at] = [-0.5] * first + [*phase, w * still]
