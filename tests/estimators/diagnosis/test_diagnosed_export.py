@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline.linear_model import LinearModel
 from estimators.diagnosis.discovery.dictionary import Kind
-from estimators.diagnosis.discovery.form import Factor, Form, Term
+from estimators.diagnosis.discovery.form import Factor, Form, Term, flow_of
 from estimators.diagnosis.discovery.model import DiscoveredModel
 from estimators.diagnosis.discovery.starts import Scales
 from estimators.diagnosis.discovery.validation import StartPrior
@@ -151,6 +151,19 @@ def test_a_discovered_answer_is_its_twin_in_every_slot(term):
         _model(
             DiscoveredAnswer(
                 0, _discovered(Factor(Kind.SIGNED_SQUARE, "v0"), Factor(Kind.ABS, "du0"), **term)
+            )
+        )
+    )
+
+
+def test_a_discovered_mobility_is_its_twin():
+    _held(
+        _model(
+            DiscoveredAnswer(
+                0,
+                _discovered(
+                    Factor(Kind.COS, "u0", 0.2, 0.7), Factor(Kind.LINEAR, flow_of(0)), slot="mobility"
+                ),
             )
         )
     )
