@@ -272,7 +272,7 @@ def two_links(n=900, noise=0.01, seed=0) -> Record:
 
 @pytest.mark.validate
 @pytest.mark.slow
-def test_an_inertia_that_another_axis_sets_is_found_with_its_wave() -> None:
+def test_an_inertia_that_another_axis_sets_is_found_with_its_force() -> None:
     """Of two links nothing had held: 10.06 deg, the linear model's; 1.65 of 1.23 by the inertia and the force that belongs to it."""
     record = two_links()
     base = best_linear([record])
@@ -285,9 +285,10 @@ def test_an_inertia_that_another_axis_sets_is_found_with_its_wave() -> None:
         "coriolis_coupling",
     )
     assert "mobility of" in found.equation
-    waves = [v for t in (inertia, push) for name, v in t.parameters.items() if name.startswith("width")]
-    assert len(waves) == 2  # cos(b)^2 and sin(2 b) have a width of half a radian
-    assert [w[0] for w in waves] == pytest.approx([0.5, 0.5], rel=0.15)
+    width = next(v[0] for name, v in push.parameters.items() if name.startswith("width"))
+    assert width == pytest.approx(
+        0.5, rel=0.1
+    )  # the force goes with sin(2 b); the inverse inertia is no single wave
 
 
 def test_two_linear_axes_yield_nothing() -> None:
