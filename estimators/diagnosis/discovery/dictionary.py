@@ -53,11 +53,15 @@ NONE = -1  # chain of a candidate that is no mobility
 
 @dataclass(frozen=True)
 class Candidate:
-    """Terms to be added together: the last one acts, those before it are slow states that it reads. `moves` the chain whose mobility
-    it is."""
+    """Terms to be added together: the last one acts, those before it are slow states that it reads."""
 
     terms: tuple[Term, ...]
-    moves: int = NONE
+
+    @property
+    def moves(self) -> int:
+        """The chain whose mobility it is: of whose flow it is a share."""
+        signal = self.terms[-1].factors[-1].signal
+        return int(signal[1:]) if signal[0] == "f" else NONE
 
     @property
     def slow(self) -> int:
@@ -104,11 +108,8 @@ def _functions(name: str, x: Array, zero: float, rest: float) -> list[Factor]:
     if zero <= low:
         out += [Factor(k, name, zero - 1e-6, 1.0) for k in (Kind.ROOT, Kind.LOG, Kind.INVERSE)]
     if name[0] == "y":
-        for k in (Kind.SIN, Kind.COS):
-            out += [
-                Factor(k, name, zero if low < zero < high else mid, w / spread, (False, True))
-                for w in PERIODS
-            ]
+        centre = zero if low < zero < high else mid
+        out += [f for k in (Kind.SIN, Kind.COS) for f in _waves(k, name, x, [centre], phase=False)]
     return out
 
 
@@ -145,10 +146,13 @@ def candidates(
                 ]
                 out += [Candidate((Term((sign(a), centred(b))),))] if a[0] in "vu" and a in crossing else []
                 out += [Candidate((Term((sign(a), square(b))),))] if a[0] == "v" and a[1:] != b[1:] else []
-                if (
-                    a[0] == "v" and b in y and a[1:] != b[1:]
-                ):  # centrifugal, of an inertia that the other sets
-                    sets = [centred(b), square(b), *_waves(Kind.SIN, b, signals[b], zeros)]
+                # centrifugal, of an inertia that the other sets
+                if a[0] == "v" and b in y and a[1:] != b[1:]:
+                    sets = [
+                        centred(b),
+                        square(b),
+                        *_waves(Kind.SIN, b, signals[b], _centres(signals[b], zeros.get(b, 0.0))),
+                    ]
                     out += [Candidate((Term((square(a), f)),)) for f in sets]
     for _i, name in enumerate(y):
         low, zero = float(signals[name].min()), zeros.get(name, 0.0)
@@ -162,7 +166,7 @@ def candidates(
     out += _slow(names, signals, zeros, samples, y, u, v)
     for i in range(ny):
         out += [
-            Candidate((Term((f, Factor(Kind.LINEAR, flow_of(i)))),), moves=i)
+            Candidate((Term((f, Factor(Kind.LINEAR, flow_of(i)))),))
             for f in _shares(signals, zeros, [*y, *u])
         ]
     two_levels = {name for name in u if switched(signals[name])}
@@ -178,16 +182,21 @@ def _shares(signals: Mapping[str, Array], zeros: Mapping[str, float], names: Seq
     out = []
     for name in names:
         x = signals[name]
-        mid, zero = float(x.mean()), zeros.get(name, 0.0)
-        out += [Factor(Kind.LINEAR, name, mid)] + [Factor(Kind.SQUARE, name, c) for c in sorted({mid, zero})]
-        out += _waves(Kind.COS, name, x, zeros) if name[0] == "y" else []
+        centres = _centres(x, zeros.get(name, 0.0))
+        out += [Factor(Kind.LINEAR, name, float(x.mean()))] + [Factor(Kind.SQUARE, name, c) for c in centres]
+        out += _waves(Kind.COS, name, x, centres) if name[0] == "y" else []
     return out
 
 
-def _waves(kind: int, name: str, x: Array, zeros: Mapping[str, float]) -> list[Factor]:
-    """Waves of a signal with free phase and wave number."""
-    centres = sorted({float(x.mean()), zeros.get(name, 0.0)})
-    return [Factor(kind, name, c, w / float(x.std()), (True, True)) for c in centres for w in PERIODS]
+def _centres(x: Array, zero: float) -> list[float]:
+    """The middle of a signal and the user's zero."""
+    return sorted({float(x.mean()), zero})
+
+
+def _waves(kind: int, name: str, x: Array, centres: Sequence[float], phase: bool = True) -> list[Factor]:
+    """Waves of a signal with a free wave number, and a free `phase` or none."""
+    spread = max(float(x.std()), 1e-9)
+    return [Factor(kind, name, c, w / spread, (phase, True)) for c in centres for w in PERIODS]
 
 
 def _slow(names, signals, zeros, samples, y, u, v) -> list[Candidate]:

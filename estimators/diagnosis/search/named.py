@@ -166,7 +166,7 @@ class Bench:
         if self.feedback or self.inverse:
             return False
         c, natures = self.channel, {part.effect.nature for part in f.structure.effects}
-        left = np.where(self.counted, np.nan_to_num(self.train.y[:, self.output]) - self.unused(f), 0.0)
+        left = self._left(f)
         if natures.intersection(CLOCKED) and not effective_samples(left) > INDEPENDENT:
             return False
         none, little, *_ = scaled_runs(f, c)  # what sticks at small inputs shows its poles by theirs alone
@@ -182,8 +182,11 @@ class Bench:
         """Whether a fit leaves white noise, and hardly more of it in unused blocks: nothing in which a remainder could look for more."""
         if len(f.noise) or self.thin > 1:
             return False
-        left = (np.nan_to_num(self.train.y[:, self.output]) - self.unused(f))[self.counted]
-        return float(np.mean(left**2)) < NO_MORE * f.variance
+        return float(np.mean(self._left(f)[self.counted] ** 2)) < NO_MORE * f.variance
+
+    def _left(self, f: Fit) -> Array:
+        """(N,) what a fit's run of unused blocks leaves of the samples that count."""
+        return np.where(self.counted, np.nan_to_num(self.train.y[:, self.output]) - self.unused(f), 0.0)
 
     @cached_property
     def _answered(self) -> float:

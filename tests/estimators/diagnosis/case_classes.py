@@ -19,6 +19,7 @@ from tests.estimators.diagnosis.case_parts import (
     read,
     sensor,
     swing,
+    wheel,
 )
 
 __all__ = ["CLASSES", "LOOKALIKES"]
@@ -181,13 +182,7 @@ def pivot(u, a):
 
 
 def eccentric(u, a):
-    angle, speed, out = 0.0, 0.0, np.empty(len(u))
-    for k, value in enumerate(u):
-        out[k] = speed
-        for _ in range(FINE):
-            speed += 0.08 * (value - speed - 0.8 * a * np.sin(0.25 * angle)) / FINE
-            angle += speed / FINE
-    return out
+    return wheel(u, 0.08, 0.8 * a, 0.25)
 
 
 def eccentric_of_two(u, a):

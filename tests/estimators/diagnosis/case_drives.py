@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.estimators.diagnosis.case_parts import FINE, lag, linear, swing
+from tests.estimators.diagnosis.case_parts import FINE, lag, linear, swing, wheel
 
 __all__ = ["DRIVES"]
 
@@ -162,14 +162,8 @@ def stretching(u, a):
 
 
 def parked(u, a):
-    """A wheel with an eccentric that rocks at its lowest point until the drive takes it over the top."""
-    angle, speed, out = 0.0, 0.0, np.empty(len(u))
-    for k, value in enumerate(u):
-        out[k] = speed
-        for _ in range(FINE):
-            speed += 0.03 * (value - speed - 2.6 * a * np.sin(0.12 * angle)) / FINE
-            angle += speed / FINE
-    return out
+    """A wheel that rocks until the drive takes its eccentric over the top."""
+    return wheel(u, 0.03, 2.6 * a, 0.12)
 
 
 DRIVES = {

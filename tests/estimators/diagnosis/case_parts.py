@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.signal import lfilter
 
-__all__ = ["FINE", "PLANT", "excitation", "lag", "linear", "process", "read", "sensor", "swing"]
+__all__ = ["FINE", "PLANT", "excitation", "lag", "linear", "process", "read", "sensor", "swing", "wheel"]
 
 FINE = 25  # Euler steps per sample
 PLANT = ([0.0, 0.12, 0.08], np.real(np.poly([0.85 * np.exp(0.25j), 0.85 * np.exp(-0.25j)])))
@@ -67,3 +67,14 @@ def read(u, at):
     den = np.poly(np.exp(np.log(np.roots(PLANT[1]).astype(complex)) / FINE)).real
     y = lfilter([np.sum(den)], den, fine - u[0]) + u[0]
     return np.interp(at * FINE, np.arange(len(y)), y)
+
+
+def wheel(u, pace, height, turn):
+    """Speed of a wheel with an eccentric, parked at its lowest point: `height` what that needs, `turn` radian per unit of the angle."""
+    angle, speed, out = 0.0, 0.0, np.empty(len(u))
+    for k, value in enumerate(u):
+        out[k] = speed
+        for _ in range(FINE):
+            speed += pace * (value - speed - height * np.sin(turn * angle)) / FINE
+            angle += speed / FINE
+    return out
