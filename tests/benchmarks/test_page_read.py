@@ -16,7 +16,7 @@ from benchmarks.page.design import write_design
 from benchmarks.page.diagnosis import _residuals
 from benchmarks.page.skeleton import _whole_options
 from estimators.diagnosis.effects import named
-from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure

@@ -1,4 +1,4 @@
-"""Effects at the input that are profiled: a servo of two speeds, a staircase, a periodic gain, a disturbance that passes.
+"""Effects at the input that are profiled: a staircase, a periodic gain, a machine that runs up.
 
 Their likelihood has many minima over the shape, and poles that bent to imitate them hide which is the right one: every shape
 of a grid has the linear part made anew before the shapes are compared.
@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import find_peaks, lfilter
 
-from estimators.diagnosis.effects.added import begun_beside, in_series, run_up, swept_line, turning
+from estimators.diagnosis.effects.disturbances.added import in_series, run_up, swept_line, turning
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, numbered
-from estimators.diagnosis.effects.input import BANK, after, any_linear, banked
 
 Array = NDArray[Any]
 FIRM = 60.0
@@ -35,9 +34,6 @@ HARMONIC = (0.5, 1.6)
 common with a wave over the input's levels has any size."""
 WHOLE = (0.85, 1.15, 61)
 """Steps that are tried with a level at zero, over the one found: from, to, how many."""
-SHORT = 3  # poles of the model that a passing disturbance is put into: more of them would follow it
-TIMES = 48
-"""Of a record, at any two of which a disturbance may begin and end: what lasts no two of them is an impulse."""
 LEAST_TURNS = 1.2  # of a gain in a record: fewer are a drift
 WAVES, WAVED, REPEATS = 12, 20.0, 3.0
 """Harmonics of a periodic gain, what each must gain of Schwarz's criterion, and its turns in a record: less would be any function of time."""
@@ -259,40 +255,6 @@ def waved(channel: Any, f: Any) -> Iterator[Any]:
             missed = 1
 
 
-def _passing(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """A pulse between the two times at which it explains most, where any mixture of lags stands for the linear part: poles of the
-    linear model have bent to follow it."""
-    from estimators.diagnosis.model.structure import Part
-
-    s, n, keep = base.structure, len(channel), channel.keep
-    if s.layout != "tf" or s.order < 1:
-        return
-    times = channel.clock.k[0] + np.linspace(0.03, 0.97, TIMES) * n
-    steps = np.stack([after(channel.clock, t) for t in times], axis=1)
-    Z = any_linear(channel.u[:, list(s.inputs)], keep)
-    D, r = (x[keep] - Z @ (Z.T @ x[keep]) for x in (banked(steps).reshape(n, -1), channel.y))
-    shape = (TIMES, len(BANK)) * 2
-    common, products = (r @ D).reshape(shape[:2]), (D.T @ D).reshape(shape)
-    own = products[np.arange(TIMES), :, np.arange(TIMES)]
-    cross = products.transpose(0, 2, 1, 3)
-    power = own[:, None] + own - cross - cross.transpose(0, 1, 3, 2)
-    c = common[:, None] - common
-    ridge = 1e-6 * np.trace(power, axis1=2, axis2=3)[..., None, None] / len(BANK) + 1e-300
-    gains = np.triu(
-        np.sum(c * np.linalg.solve(power + ridge * np.eye(len(BANK)), c[..., None])[..., 0], axis=2), 2
-    )
-    first, last = np.unravel_index(int(np.argmax(gains)), gains.shape)
-    if not firm(base, float(r @ r) - float(gains[first, last])):
-        return
-    few, p, scales = of_order(base, min(s.order, SHORT), min(s.taps, SHORT))
-    bare = replace(base, structure=few, p=p, scales=scales)
-    bare, sizes = begun_beside(channel, bare, steps[:, first] - steps[:, last])
-    for j, size in sizes.items():
-        start = np.concatenate((bare.p, [size, times[first], times[last]]))
-        su = float(np.std(channel.u[:, j]))
-        yield from ended(channel, bare, Part(PULSE, j), [start], [su, 1.0, 1.0])
-
-
 def _running_up(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     """The same behind the plant, whose resonances it passes: of the linear model, and of poles made for it."""
     from estimators.diagnosis.model.structure import Part
@@ -385,11 +347,4 @@ SWEEP_INPUT = Effect(
     parameters={"frequency": "rad/sample", "rate": "rad/sample^2", "cosine": "u", "sine": "u", "growth": "1"},
 )  # fmt: skip
 
-PULSE = Effect(
-    key="pulse_input", cause="step_disturbance", nature=Nature.ADDED, slot=Slot.INPUT, trials=1.0, per_sample=True, family="steps",
-    sentence="a disturbance enters at the plant input and passes",
-    apply=lambda x, p, clock: x + p[0] * (after(clock, p[1]) - after(clock, p[2])), search=_passing, settles=True,
-    parameters={"size": "u", "start": "sample", "end": "sample"},
-)  # fmt: skip
-
-PROFILED = (STAIRS, SWAY, PULSE, SWEEP_INPUT)
+PROFILED = (STAIRS, SWAY, SWEEP_INPUT)

@@ -87,7 +87,10 @@ def parameters_of(f: Fit, channel: Channel, prefix: str = "") -> dict[str, tuple
             at = sl.start + i
             error = _followed(f, channel, known, at, float(errors[at]))
             if part.effect.timed and unit == "sample" and f.scales[at] > 0.0:
-                error = max(error, _other_times(f, channel, at))
+                other = _other_times(f, channel, at)
+                # where no sample beside it is a measurement, the derivatives say nothing, and those farther off do
+                lost = error == np.inf and 0.0 < other < REACH / NORMAL
+                error = other if lost else max(error, other)
             if part.effect.search is not None and f.scales[at] > 0.0 and len(channel) == len(f.residual):
                 run = lambda q: simulate(f.structure, q, channel.u, channel.clock)
                 ends = cell(run, f.p, at, float(f.scales[at]))

@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 from scipy.signal import butter, sosfiltfilt
 
 from estimators.diagnosis.effects import named
-from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part, Structure

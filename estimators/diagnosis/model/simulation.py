@@ -159,7 +159,7 @@ def acted(s: Structure, p: Array, u: Array, clock: Clock, *, rest: bool = False)
 def _acted(s: Structure, p: Array, u: Array, clock: Clock, rest: bool) -> Array | None:
     U = u[:, list(s.inputs)]  # a copy
     for part, sl in s.placed[0]:
-        if part.effect.timed and not rest and not _within(part.effect, p[sl][-1], u):
+        if not rest and not all(_within(part.effect, p[sl][at], u) for at in part.times(s.order)):
             return None
         if not part.enters:
             continue

@@ -59,6 +59,12 @@ class Part:
         shape = self.effect.shape
         return block + (list(self.effect.parameters.items()) if shape is None else shape(self.size, order))
 
+    def times(self, order: int) -> tuple[int, ...]:
+        """Which of its parameters are times at which something changes for good, or for a while."""
+        if not self.effect.timed:
+            return ()
+        return tuple(i for i, (_, unit) in enumerate(self.parameters(order)) if unit == "sample")
+
     def count(self, order: int) -> int:
         """Number of parameters, given the order of the linear part."""
         return len(self.parameters(order))

@@ -174,8 +174,8 @@ def _deviance(r: Array, X: Array, noise: Array, keep: NDArray[np.bool_]) -> floa
         again = start
         for _ in range(2):
             W = np.stack([innovations(c, again) for c in X.T], axis=1)
-            size = np.abs(W).max(axis=0, initial=0.0) + 1e-300  # their squares may be no numbers
-            size = size * (np.sqrt(np.sum((W / size) ** 2, axis=0)) + 1e-300)
+            size = np.maximum(np.abs(W).max(axis=0, initial=0.0), 1e-150)  # their squares may be no numbers
+            size = size * np.maximum(np.sqrt(np.sum((W / size) ** 2, axis=0)), 1e-150)
             beta = np.linalg.lstsq(W / size, innovations(r, again), rcond=1e-9)[0] / size
             rest = r - X @ beta
             again, value = ar_model(np.where(keep, rest, 0.0))

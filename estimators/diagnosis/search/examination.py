@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.baseline.choice import SLOW
 from estimators.diagnosis.effects import Clock, Effect, Nature, Slot, named
-from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.effects.input import LINES, SANDWICH
 from estimators.diagnosis.effects.path import INITIAL, OUTFLOW
 from estimators.diagnosis.ladder.steps import ROUNDING

@@ -367,17 +367,17 @@ def blocked(
     if any(part.effect is STORE_CURVE for part in f.structure.parts):
         folds = blocks.scattered(STRETCHES)
     timed = [
-        (sl, int(np.clip(f.p[sl.stop - 1], 0, n - 1)))
+        (sl, sl.start + i, int(np.clip(f.p[sl.start + i], 0, n - 1)))
         for part, sl in zip(f.structure.parts, f.structure.slices(), strict=True)
-        if part.effect.timed
+        for i in part.times(f.structure.order)
     ]
     told = np.nan_to_num(f.jacobian) ** 2
     for fold, mask in folds:
         training, free = mask[0][::thin][:n], scales.copy()
-        for of, at in timed:
+        for of, time, at in timed:
             if not training[at] and len(told):
                 free[of] *= told[training][:, of].sum(axis=0) > UNTOLD * told[:, of].sum(axis=0)
-            free[of.stop - 1] *= training[at]
+            free[time] *= training[at]
         keep = channel.keep & training
         g = fit(
             replace(channel, keep=keep), f.structure, f.p, free, noise=None if white else f.noise,

@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline import Baseline
 from estimators.diagnosis.effects import Nature, Slot
-from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.ladder import Gain, Kind, Step, paired_gain
 from estimators.diagnosis.ladder.claims import Claim, Named
 from estimators.diagnosis.ladder.steps import as_started, is_sane

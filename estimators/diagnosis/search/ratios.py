@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from estimators.diagnosis.baseline.linear_model import rest_means
-from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.model.fitting import Fit
 from estimators.diagnosis.model.forces import effective_samples
 from estimators.diagnosis.model.structure import Part

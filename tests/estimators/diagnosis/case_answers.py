@@ -6,7 +6,7 @@ import numpy as np
 
 from estimators.diagnosis.baseline.linear_model import Prior
 from estimators.diagnosis.effects import named
-from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.result.answers import NamedAnswer
 from estimators.diagnosis.search.free_runs import Start

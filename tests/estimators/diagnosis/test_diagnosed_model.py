@@ -13,7 +13,7 @@ from estimators.diagnosis.baseline import best_linear
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.discovery import discover
 from estimators.diagnosis.effects import named
-from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.effects.path import INITIAL
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.result.answers import Answer, DiscoveredAnswer, LinearAnswer, NamedAnswer

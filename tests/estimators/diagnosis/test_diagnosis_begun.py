@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import lfilter
 
 from estimators.diagnosis.effects import Nature, named
-from estimators.diagnosis.effects.added import run_up
+from estimators.diagnosis.effects.disturbances.added import run_up
 from estimators.diagnosis.effects.effect import Clock
 from estimators.diagnosis.ladder.claims import Claim
 from estimators.diagnosis.loop import diagnose

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline.linear_model import Prior
 from estimators.diagnosis.effects import CATALOGUE, Clock, named
-from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.effects.kernels.recursion_kernels import levelled, relay, restored
 from estimators.diagnosis.effects.kernels.spline_kernels import read_between
 from estimators.diagnosis.effects.loops import slowest_rate

@@ -18,7 +18,7 @@ from estimators.diagnosis.discovery.fitting import fit as discovered_fit
 from estimators.diagnosis.discovery.form import Assembly, Factor, Form, Term
 from estimators.diagnosis.discovery.uncertainty import covariance
 from estimators.diagnosis.effects import Clock, named
-from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.effects.path import INITIAL
 from estimators.diagnosis.loop import diagnose
 from estimators.diagnosis.model.edges import cell

@@ -15,7 +15,7 @@ from estimators.diagnosis.baseline.linear_model import Prior
 from estimators.diagnosis.discovery import Curve, FoundTerm, discover
 from estimators.diagnosis.discovery.found import leading_nature, strongest_first
 from estimators.diagnosis.effects import Clock, named
-from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.effects.path import INITIAL
 from estimators.diagnosis.ladder import Gain, Kind, paired_gain
 from estimators.diagnosis.ladder.claims import Claim

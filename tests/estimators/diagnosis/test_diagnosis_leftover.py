@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from estimators.diagnosis.baseline import blocks_of
 from estimators.diagnosis.baseline.linear_model import Prior
 from estimators.diagnosis.effects import Clock, named
-from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.effects.path import INITIAL
 from estimators.diagnosis.ladder.verdicts import FIRM
 from estimators.diagnosis.loop import Setting, diagnose

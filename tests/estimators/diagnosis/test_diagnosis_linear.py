@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from estimators.diagnosis.baseline import Options, best, best_linear
 from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.effects import Clock
-from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.loop import diagnose
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.policy import Effort, Setting

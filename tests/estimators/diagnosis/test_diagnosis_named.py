@@ -14,7 +14,7 @@ from estimators.diagnosis.discovery.dictionary import Kind
 from estimators.diagnosis.discovery.form import Factor, Term
 from estimators.diagnosis.discovery.wording import NARROW, same_as
 from estimators.diagnosis.effects import CATALOGUE, Clock, named
-from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.effects.path import INITIAL
 from estimators.diagnosis.ladder import Gain, Step
 from estimators.diagnosis.ladder import Kind as Stage

@@ -14,7 +14,7 @@ from estimators.diagnosis.discovery.form import Factor, Term
 from estimators.diagnosis.discovery.model import DiscoveredModel
 from estimators.diagnosis.discovery.wording import lagged, named_by_shape
 from estimators.diagnosis.effects import Nature, named
-from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock
 from estimators.diagnosis.effects.path import INITIAL
 from estimators.diagnosis.effects.plant import SWINGS

@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 from estimators.diagnosis.effects import Clock, named
-from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.effects.path import INITIAL
 from estimators.diagnosis.loop import diagnose
 from estimators.diagnosis.model.fitting import Channel

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from estimators.diagnosis.effects.added import begun_beside
+from estimators.diagnosis.effects.disturbances.added import begun_beside
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
 from estimators.diagnosis.effects.input import any_linear, aside, moved, told_beside
 from estimators.diagnosis.effects.loops.anew import remade

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from estimators.diagnosis.effects.added import OFFSET
+from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
 from estimators.diagnosis.effects.input import moved
 from estimators.diagnosis.effects.output import KEPT, in_step, mended, quickly_made, read_at
