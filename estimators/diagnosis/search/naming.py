@@ -17,7 +17,7 @@ from estimators.diagnosis.effects.plant import MOVING, SWINGS
 from estimators.diagnosis.effects.process import FILLED, THROUGH, at_once
 from estimators.diagnosis.effects.sensing.folding import RECTIFIED
 from estimators.diagnosis.model.errors import parameters_of
-from estimators.diagnosis.model.fitting import Channel, Fit
+from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.simulation import simulate
 from estimators.diagnosis.model.structure import Part
 from estimators.diagnosis.search.free_runs import denominator, largest_pole
@@ -61,7 +61,7 @@ def as_shown(part: Part, f: Fit, channel: Channel) -> Part:
         return replace(part, effect=replace(effect, cause=named("loss").cause))
     if _multiplies(part, p[part.own :], channel):
         return replace(part, effect=named("bilinear"))
-    if effect.key in LAGGING and not _departs(effect.key, f, channel):
+    if effect.key in LAGGING and not _departs(part, f, channel):
         return replace(part, effect=named("order"))
     if effect.cause == FOLD and not _folds(f, at, channel):
         return replace(part, effect=replace(effect, cause=named("output_polynomial").cause))
@@ -74,17 +74,21 @@ LAGGING = {
         "rise_and_fall": ("asymmetry",), "loss_cubic": ("k3",), "loss": ("k2", "k3"), "capacity_bump": ("more",)}.items()},
 }  # fmt: skip
 """Effects that without these parameters are lags beside the plant: more linear dynamics."""
+STRAIGHTENED = 30  # steps in which a lag is fitted in the place of one
 
 
-def _departs(key: str, f: Fit, channel: Channel) -> bool:
-    """Whether any of the parameters is told from nothing that an effect has beyond a lag."""
-    rows = parameters_of(f, channel)
-    return any(
-        abs(rows[k][0]) > NORMAL * rows[k][1]
-        for own in LAGGING[key]
-        for k in rows
-        if k.startswith(f"{key}.{own}")
-    )
+def _departs(part: Part, f: Fit, channel: Channel) -> bool:
+    """Whether any of the parameters is told from nothing that an effect has beyond a lag, or a lag in its place is no match for it: a
+    bump far from all levels of the record has no size of its own, and bends the more."""
+    rows, key, order = parameters_of(f, channel), part.key, f.structure.order
+    own = [i for i, (name, _) in enumerate(part.parameters(order)) if name in LAGGING[key]]
+    if any(abs(v[0]) > NORMAL * v[1] for k, v in rows.items() if k.removeprefix(f"{key}.") in LAGGING[key]):
+        return True
+    p, scales = f.p.copy(), f.scales.copy()
+    at = f.structure.slices()[f.structure.parts.index(part)].start + np.array(own)
+    p[at], scales[at] = 0.0, 0.0
+    lag = fit(channel, f.structure, p, scales, noise=f.noise, iterations=STRAIGHTENED)
+    return bool(lag.deviance - f.deviance > part.count(order) * np.log(f.n))
 
 
 def _multiplies(part: Part, q: Array, channel: Channel) -> bool:
