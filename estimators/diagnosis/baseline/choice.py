@@ -30,6 +30,9 @@ NOTHING = 0.005
 OPEN = 1.0
 """Variance of a run on the inputs asked for, of the error seen on unused blocks, from which on it tells models apart: five blocks
 know a variance to a half, and what is left out for less of it was mostly right."""
+ABSURD = 9.0
+"""Of the output's variance, the mean square error from which on a run from the inputs alone follows nothing: a level or a slow state that
+is not known costs less, over the whole record."""
 WORSE = 0.02
 """A simpler model may cost at most so much of the least error, however uncertain that is, and so much again for each further halving of
 the parameters: what many of them gain on the blocks of one day they lose on the next."""
@@ -109,7 +112,10 @@ def tried(
     slow, endless = (kind(candidate.models[-1].radius) for kind in (blocks.slow, blocks.endless))
     return Trial(
         candidate, unused, squares, slow, endless,
-        lambda trial: (undetermined(candidate.models[:-1], records), _left_open(trial, records, blocks, prior, asked)),
+        lambda trial: (
+            undetermined(candidate.models[:-1], records),
+            _left_open(trial, records, blocks, prior, asked) + _started(trial, records, output, prior),
+        ),
     )  # fmt: skip
 
 
@@ -130,6 +136,24 @@ def _left_open(
         return 0.0
     beyond = max(0.0, runs - run_spread(models, seen, prior, blocks.window)) + state
     return beyond if beyond > OPEN * error else 0.0
+
+
+def _started(trial: Trial, records: Sequence[Record], output: int, prior: Prior) -> float:
+    """Mean square error of the runs of the records from the inputs' first samples alone, where that is no run at all; else none.
+
+    Unused blocks follow inputs that go on: gains of a million at frequencies that these do not have cancel there, and show where a
+    record begins with a jump. Of an unstable model no run follows from the inputs alone.
+    """
+    model, squares, power = trial.candidate.models[-1], [], []
+    if model.radius > 1.0:
+        return 0.0
+    for r in records:
+        y = r.y[:, output]
+        run = model.free_run(prior, r.u, np.full(len(y), np.nan), 0)
+        squares.append((y - run)[np.isfinite(y)] ** 2)
+        power.append((y - np.nanmean(y))[np.isfinite(y)] ** 2)
+    error = float(np.concatenate(squares).mean())
+    return error if not error < ABSURD * float(np.concatenate(power).mean()) else 0.0
 
 
 def _rings(model: LinearModel, length: int) -> bool:

@@ -78,17 +78,25 @@ STRAIGHTENED = 30  # steps in which a lag is fitted in the place of one
 
 
 def _departs(part: Part, f: Fit, channel: Channel) -> bool:
-    """Whether any of the parameters is told from nothing that an effect has beyond a lag, or a lag in its place is no match for it: a
-    bump far from all levels of the record has no size of its own, and bends the more."""
-    rows, key, order = parameters_of(f, channel), part.key, f.structure.order
-    own = [i for i, (name, _) in enumerate(part.parameters(order)) if name in LAGGING[key]]
-    if any(abs(v[0]) > NORMAL * v[1] for k, v in rows.items() if k.removeprefix(f"{key}.") in LAGGING[key]):
-        return True
+    """Whether any of the parameters is told from nothing that an effect has beyond a lag, or no lag is as good."""
+    told = (
+        abs(value) > NORMAL * error
+        for name, (value, error, _) in parameters_of(f, channel).items()
+        if name.removeprefix(f"{part.key}.") in LAGGING[part.key]
+    )
+    return any(told) or _bends(part, f, channel)
+
+
+def _bends(part: Part, f: Fit, channel: Channel) -> bool:
+    """Whether a lag in the place of an effect is no match for it by Schwarz's criterion: a bump far from all levels of the record has
+    no size that is told from nothing, as its tail has any beside a width and a level that go with it."""
+    names = [name for name, _ in part.parameters(f.structure.order)]
+    start = f.structure.slices()[f.structure.parts.index(part)].start
+    own = [start + names.index(name) for name in LAGGING[part.key]]
     p, scales = f.p.copy(), f.scales.copy()
-    at = f.structure.slices()[f.structure.parts.index(part)].start + np.array(own)
-    p[at], scales[at] = 0.0, 0.0
+    p[own], scales[own] = 0.0, 0.0
     lag = fit(channel, f.structure, p, scales, noise=f.noise, iterations=STRAIGHTENED)
-    return bool(lag.deviance - f.deviance > part.count(order) * np.log(f.n))
+    return bool(lag.deviance - f.deviance > len(names) * np.log(f.n))
 
 
 def _multiplies(part: Part, q: Array, channel: Channel) -> bool:
