@@ -76,6 +76,8 @@ NAMED = {
     "time": ("tf", [("gain_drift", [0.3]), ("drift", [0.1, 0.2]), ("tones", [0.2, 0.3, 0.1]), ("sweep", [0.1, 0.01, 0.2, 0.1])],
              {}),
     "step": ("tf", [("step_input", [0.5, 40.3])], {"clock": (-30.0, 0.5, 300)}),
+    "loads": ("tf", [("steps_input", [0.5, 40.3, -0.3, 70.6], {"size": 2})], {"clock": (-30.0, 0.5, 300)}),
+    "zeros": ("tf", [("steps_output", [0.5, 40.3, -0.3, 70.6], {"size": 2})], {"clock": (-30.0, 0.5, 300)}),
     "belt": ("tf", [("slipping", [0.4, 0.3, 0.1])], {"rest": False}),
     "process": ("tf", [("orifices", [0.3, 1.5, 0.05])], {}),
     "vessel": ("tf", [("vessel", [0.3, 1.0, 0.4])], {"rest": False}),

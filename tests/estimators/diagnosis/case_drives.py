@@ -166,6 +166,18 @@ def parked(u, a):
     return wheel(u, 0.03, 2.6 * a, 0.12)
 
 
+def loaded_twice(u, a):
+    """A hull that heels as one load comes on board after the other, and rights itself on its spring and damping."""
+    k = np.arange(len(u))
+    return swing(lambda x, v, f, t: 0.06 * (f - x) - 0.12 * v, u + a * (0.9 * (k > 188) + 0.7 * (k > 430)))
+
+
+def set_anew(u, a):
+    """A sensor that is given another zero, twice, after a lag."""
+    k = np.arange(len(u))
+    return linear(u) + a * (-0.4 * (k > 240) + 0.25 * (k > 455))
+
+
 DRIVES = {
     # effect: maker, order of the linear model, form of the input
     "reported_in_time": (in_time, 2, {}),
@@ -183,5 +195,6 @@ DRIVES = {
     "flow_up": (rectified, 3, {"hold": 15, "mean": 1.0}),
     "flow_down": (drained, 3, {"hold": 15, "mean": -1.0}),
     "stiffness_settles": (curing, 2, {}), "inertia_settles": (icing, 2, {}), "resonance_settles": (stretching, 2, {}),
+    "steps_input": (loaded_twice, 2, {}), "steps_output": (set_anew, 2, {}),
     "position_periodic of a wheel that was parked": (parked, 2, {"mean": 2.6, "size": 0.5}),
 }  # fmt: skip

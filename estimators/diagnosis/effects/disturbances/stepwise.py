@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.disturbances.added import begun_beside
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, numbered
-from estimators.diagnosis.effects.input import BANK, after, any_linear, banked
+from estimators.diagnosis.effects.input import after, any_linear, banked
 from estimators.diagnosis.effects.profiled import FIRM, gained, of_order
 
 Array = NDArray[Any]
@@ -131,8 +131,11 @@ def _changing(channel: Any, base: Any, way: str, passes: bool = False) -> Iterat
         times = seen.one_more(times, grid)
 
 
-def _signal(clock: Clock, sizes: Array, times: Array) -> Array:
-    return sum((a * after(clock, t) for a, t in zip(sizes, times, strict=True)), np.zeros(len(clock.k)))
+def _stepped(x: Any, p: Array, clock: Clock) -> Any:
+    """A signal with sizes and times of changes of a level, one after the other, added."""
+    for size, time in p.reshape(-1, 2):
+        x = x + size * after(clock, time)
+    return x
 
 
 def _begun(channel: Any, base: Any, effect: Effect, sizes: Array, times: Array) -> Iterator[Any]:
@@ -141,7 +144,8 @@ def _begun(channel: Any, base: Any, effect: Effect, sizes: Array, times: Array) 
     from estimators.diagnosis.model.linear import fit_linear
     from estimators.diagnosis.model.structure import Part
 
-    signal, count = _signal(channel.clock, sizes, times), 1 if effect is PULSE else len(times)
+    changes, count = np.stack((sizes, times), axis=1), 1 if effect is PULSE else len(times)
+    signal = _stepped(np.zeros(len(channel)), changes, channel.clock)
     for order in range(1, min(base.structure.order, SHORT) + 1):
         few, p, scales = of_order(base, order, min(base.structure.taps, order))
         bare, scale = replace(base, structure=few, p=p, scales=scales), dict.fromkeys(few.inputs[:1], 1.0)
@@ -226,7 +230,7 @@ def _steps(key: str, unit: str, sentence: str, **fields: Any) -> Effect:
     parameters = {"size": unit, "time": "sample"}
     return Effect(
         key=key, cause="step_disturbance", nature=Nature.ADDED, trials=1.0, per_sample=True, family="steps", sentence=sentence,
-        apply=lambda x, p, clock: x + _signal(clock, p[::2], p[1::2]), parameters=parameters,
+        apply=_stepped, parameters=parameters,
         shape=lambda size, order: numbered(parameters, size) if size > 1 else list(parameters.items()), **fields,
     )  # fmt: skip
 
