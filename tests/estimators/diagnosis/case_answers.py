@@ -25,6 +25,7 @@ NAMED = {
     "late": ("tf", [("delay", [2.4])], {"delay": 3}),
     "play": ("tf", [("backlash_input", [0.4, -0.5]), ("backlash_sampled", [0.1])], {}),
     "rate": ("tf", [("rate_limit", [0.5]), ("lag", [0.6])], {"rest": False}),
+    "motor": ("tf", [("three_point", [0.3, 0.2, 0.1, 0.15])], {"rest": False}),
     "two rates": ("tf", [("rate_limit_servo", [0.5, 0.2, 0.7])], {"rest": False}),
     "wind up": ("tf", [("wind_up", [0.1, 3.0, 0.3, -0.8, 0.9])], {"rest": False}),
     "thermostat": ("tf", [("relay_feedback", [0.1, 0.2, -0.7, -0.3, 0.4])], {"rest": False}),

@@ -178,6 +178,20 @@ def set_anew(u, a):
     return linear(u) + a * (-0.4 * (k > 240) + 0.25 * (k > 455))
 
 
+def damper(u, a):
+    """A flap's motor that starts a quarter of a unit off, runs at one speed and halts a fifteenth before its command."""
+    angle, way, out = u[0], 0.0, np.empty(len(u))
+    for k, command in enumerate(u):
+        total = 0.0
+        for _ in range(FINE):
+            off = command - angle
+            way = np.sign(off) if abs(off) > 0.25 else way if way * off > 0.07 else 0.0
+            angle += way * 0.09 / FINE if a else 0.0
+            total += angle / FINE if a else command / FINE
+        out[k] = total
+    return linear(out)
+
+
 DRIVES = {
     # effect: maker, order of the linear model, form of the input
     "reported_in_time": (in_time, 2, {}),
@@ -195,6 +209,7 @@ DRIVES = {
     "flow_up": (rectified, 3, {"hold": 15, "mean": 1.0}),
     "flow_down": (drained, 3, {"hold": 15, "mean": -1.0}),
     "stiffness_settles": (curing, 2, {}), "inertia_settles": (icing, 2, {}), "resonance_settles": (stretching, 2, {}),
+    "three_point": (damper, 3, {"hold": 12, "size": 0.7}),
     "steps_input": (loaded_twice, 2, {}), "steps_output": (set_anew, 2, {}),
     "position_periodic of a wheel that was parked": (parked, 2, {"mean": 2.6, "size": 0.5}),
 }  # fmt: skip

@@ -256,3 +256,22 @@ def carried(signal, p, start):  # pragma: no cover - compiled
         if not written(out, k, x):
             return out
     return out
+
+
+@compiled
+def three_point(signal, up, down, halt, zone, start):  # pragma: no cover - compiled
+    """Mean over each sample interval of a motor that starts where a held command is more than `halt + zone` away, at `up` or `down` per
+    sample, and halts `halt` before it; it stands at `start` before the record."""
+    out = np.empty_like(signal)
+    v, way = start, 0.0
+    for k in range(signal.shape[0]):
+        gap = signal[k] - v
+        if abs(gap) > halt + zone:
+            way = 1.0 if gap > 0.0 else -1.0
+        rate = max(up if way > 0.0 else down, 1e-300)
+        running = min(max((way * gap - halt) / rate, 0.0), 1.0) if way != 0.0 else 0.0
+        out[k] = v + way * rate * running * (1.0 - 0.5 * running)
+        v += way * rate * running
+        if running < 1.0:
+            way = 0.0
+    return out

@@ -23,6 +23,7 @@ from estimators.diagnosis.effects.loops.remembering import (
 )
 from estimators.diagnosis.effects.loops.scanned import SCANNED
 from estimators.diagnosis.effects.loops.stores import STORES
+from estimators.diagnosis.effects.loops.three_point import THREE_POINT
 
 __all__ = ["FLOWS", "LOOPS", "PACES", "STORES", "play_widths", "slowest_rate"]
 
@@ -39,6 +40,7 @@ LOOPS = (
     SIDE_BY_SIDE,
     PLAYED,
     RECYCLE,
+    THREE_POINT,
     *GEARED,
     *STORES,
     *FLOWS,

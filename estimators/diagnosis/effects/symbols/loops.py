@@ -35,6 +35,17 @@ def _servo(which: int) -> Callable[[Wiring, Any, Array], Any]:
     return limited
 
 
+def _three_point(w: Wiring, x: Any, p: Array) -> Any:
+    up, down, halt, zone = (max(abs(float(v)), 1e-300) for v in p)
+    s, ca = w.state([w.value(x), 0.0]), w.ca
+    v, gap = s.x[0], x - s.x[0]
+    way = ca.if_else(ca.fabs(gap) > halt + zone, ca.sign(gap), s.x[1])
+    rate = ca.if_else(way > 0.0, up, down)
+    running = ca.if_else(way == 0.0, 0.0, ca.fmin(ca.fmax((way * gap - halt) / rate, 0.0), 1.0))
+    s.after = ca.vertcat(v + way * rate * running, ca.if_else(running < 1.0, 0.0, way))
+    return v + way * rate * running * (1.0 - 0.5 * running)
+
+
 def _wound_up(w: Wiring, x: Any, p: Array) -> Any:
     pace, proportional, integral = (abs(float(v)) for v in p[:3])
     level = float(np.clip(w.value(x), p[3], p[4]))
@@ -185,7 +196,7 @@ def _carried(w: Wiring, x: Any, p: Array) -> Any:
 
 
 LOOPED: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
-    "rate_limit": _servo(1), "rate_limit_sampled": _servo(0), "rate_limit_servo": _servo(1), "wind_up": _wound_up, "relay_feedback": _switched,
+    "rate_limit": _servo(1), "rate_limit_sampled": _servo(0), "rate_limit_servo": _servo(1), "three_point": _three_point, "wind_up": _wound_up, "relay_feedback": _switched,
     "rate_in_loop": _steered(0), "rate_of_loop": _steered(1), "rate_in_course": _steered(COURSE),
     "sensor_rate": _trailed, "strut": _carried, **{e.key: _geared(*how) for e, how in GEARED.items()},
     **{e.key: _stored(ends) for e, ends in STORES.items()}, **{e.key: _flowed(way) for e, way in FLOWS.items()},
