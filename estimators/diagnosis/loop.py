@@ -18,7 +18,7 @@ from estimators.diagnosis.baseline.disturbances import set_aside
 from estimators.diagnosis.baseline.search import LONG
 from estimators.diagnosis.effects import Effect
 from estimators.diagnosis.ladder.asked import begun, outside
-from estimators.diagnosis.ladder.claims import ANYTHING, Named
+from estimators.diagnosis.ladder.claims import ANYTHING, NOTHING_NEW, TOO_SLOW, Named
 from estimators.diagnosis.ladder.held_out import HeldOut, assess, onward
 from estimators.diagnosis.ladder.outcome import Outcome
 from estimators.diagnosis.ladder.stated import Contradiction, lacking, linear_base, settling, starts_at_rest
@@ -27,6 +27,7 @@ from estimators.diagnosis.ladder.steps import (
     Ladder,
     Step,
     as_started,
+    beyond_chance,
     climb,
     over_linear,
     paired_gain,
@@ -46,7 +47,7 @@ from estimators.diagnosis.search.elsewhere import seen_elsewhere
 from estimators.diagnosis.search.examination import PHYSICAL, Examined, Known, as_motion, examine
 from estimators.diagnosis.search.few import best_named
 from estimators.diagnosis.search.free_runs import denominator, largest_pole
-from estimators.diagnosis.search.named import Bench, linear_step, named_steps
+from estimators.diagnosis.search.named import CLOCKED, Bench, linear_step, named_steps
 from estimators.diagnosis.share import Share, explainable_share
 from estimators.diagnosis.share.feedback import has_feedback, is_answer
 from estimators.diagnosis.share.news import NEWS, Predictor
@@ -247,15 +248,14 @@ def _outcome(
     told = cache(lambda: bench.tells(named.fit))
     news = lambda s: predictor().news(s.unused) > NEWS or (s.kind is Kind.NAMED and told())
     vague = not share.explainable and named.anything(setting.effects) and not told()
-    holds = lambda s: not (vague and s.kind is Kind.NAMED) and news(s)
-    steps = [replace(s, admitted=s.admitted and (s.linear or holds(s))) for s in started]
+    sure = lambda s: s.nature in CLOCKED or beyond_chance(y, started[0].unused, s.unused, counted)
+    holds = lambda s: sure(s) and (s.linear or (not (vague and s.kind is Kind.NAMED) and news(s)))
+    steps = [replace(s, admitted=s.admitted and (s.kind is Kind.LINEAR or holds(s))) for s in started]
     if named.alike is not None and named.step is not None and not news(named.step):
         named = named.as_linear()
-    if any(
-        s.kind is Kind.NAMED and first.admitted > s.admitted for s, first in zip(steps, started, strict=True)
-    ):
-        why = ANYTHING if vague else "a linear predictor of the output gains nothing from it"
-        named = named.without_claims(why)
+    fallen = [first for s, first in zip(steps, started, strict=True) if first.admitted > s.admitted]
+    for s in (s for s in fallen if s.kind is Kind.NAMED):
+        named = named.without_claims(ANYTHING if vague else NOTHING_NEW if sure(s) else TOO_SLOW)
     least = int(faulty)
     ladder = climb(y, steps, counted, setting.policy, least=least)
     if ladder.chosen.kind is Kind.DISCOVERED:

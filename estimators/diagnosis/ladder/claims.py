@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 ANYTHING = "effects of several natures do as well, and a regression predicts nothing of what is left"
+NOTHING_NEW = "a linear predictor of the output gains nothing from it"
+TOO_SLOW = "what it explains goes together with what is left over too few independent samples: slow noise does so by chance"
 NATURES = 3
 """Natures of equal rivals from which on a single effect is no cause: two are one place seen from both sides."""
 

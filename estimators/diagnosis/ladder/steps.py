@@ -217,6 +217,41 @@ def paired_gain(
     return Gain(value, error, share, float(np.mean(relative)) / max(spread, 1e-300))
 
 
+CHANCE = 25.0
+"""Likelihood ratio, of samples that are independent of one another, that the best of some hundreds of changes reaches of slow noise: of
+36 records beside random walks and noises with memories of 50 and 200 samples, four models took half of the error of unused
+blocks or more, by 7 to 16; true ones of rigs had 37 or more."""
+
+
+def beyond_chance(
+    measured: Sequence[Array], first: Sequence[Array], second: Sequence[Array], counted: Sequence[NDArray[np.bool_]]
+) -> bool:  # fmt: skip
+    """Whether what a second prediction changes has more in common with the errors of the first than slow signals have by chance.
+
+    Two that are slow go together over many samples: stretches of a record that no fit saw are no others, as neighbours share both.
+    """
+    before = after = samples = 0.0
+    for y, a, b, use in zip(measured, first, second, counted, strict=True):
+        e, change = (np.where(use, x, 0.0) for x in (y - a, b - a))
+        before, after = before + float(e @ e), after + float((e - change) @ (e - change))
+        samples += min(common_samples(e, change), float(use.sum()))
+    if not np.isfinite(after):
+        return False
+    return after <= 0.0 or samples * float(np.log(max(before, 1e-300) / after)) > CHANCE
+
+
+def common_samples(a: Array, b: Array) -> float:
+    """Independent samples by which two signals (N,) that know nothing of one another are correlated, as Bartlett counts them."""
+    n = len(a)
+    rho = []
+    for x in (a, b):
+        power = np.abs(np.fft.rfft(x / (np.abs(x).max() + 1e-300), 2 * n)) ** 2
+        covariance = np.fft.irfft(power)[: n // 4]
+        rho.append(covariance / (covariance[0] + 1e-300))
+    lags = np.arange(1, n // 4)
+    return n / max(1.0 + 2.0 * float(np.sum((1.0 - lags / n) * rho[0][1:] * rho[1][1:])), 1.0)
+
+
 def unused_errors(measured: Sequence[Array], step: Step, counted: Sequence[NDArray[np.bool_]]) -> Array:
     """The step's errors on unused blocks of all records together, (N,): NaN where they do not count, infinite where there is no number."""
     off = np.concatenate([y - s for y, s in zip(measured, step.unused, strict=True)])
