@@ -60,10 +60,13 @@ class Part:
         return block + (list(self.effect.parameters.items()) if shape is None else shape(self.size, order))
 
     def times(self, order: int) -> tuple[int, ...]:
-        """Which of its parameters are times at which something changes for good, or for a while."""
+        """Which of its parameters are times of a change: the last one, each time that the effect comes."""
         if not self.effect.timed:
             return ()
-        return tuple(i for i, (_, unit) in enumerate(self.parameters(order)) if unit == "sample")
+        last = list(self.effect.parameters)[-1]
+        return tuple(
+            i for i, (name, _) in enumerate(self.parameters(order)) if name.rstrip("0123456789") == last
+        )
 
     def count(self, order: int) -> int:
         """Number of parameters, given the order of the linear part."""

@@ -24,7 +24,8 @@ NEAREST, ROUNDS = 3, 2
 def _run(x: Array, p: Array, clock: Clock) -> Array:
     from estimators.diagnosis.effects.kernels.loop_kernels import three_point
 
-    return three_point(np.ascontiguousarray(x), *np.abs(p), level_before(x))
+    up, down, halt, zone = (abs(float(v)) for v in p)
+    return three_point(np.ascontiguousarray(x), up, down, halt, zone, level_before(x))
 
 
 def _motors(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
