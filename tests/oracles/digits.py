@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from decimal import Decimal, localcontext
 
 import numpy as np
@@ -31,30 +32,55 @@ def _inverse(a: Pair) -> Pair:
     return a[0] / size, -a[1] / size
 
 
+def _lines(plant: Plant, omega: NDArray) -> Iterator[list[Pair]]:
+    """dG over the noise's deviation at each frequency, by the quotient rule, of one input and one output in white noise."""
+    A, B = ([Decimal(float(x)) for x in side[0][0]] for side in (plant.den, plant.num))
+    first = int(np.flatnonzero(plant.num[0][0])[0])
+    spread = 1 / Decimal(float(plant.noise_covariance[0, 0])).sqrt()
+    for w in omega:
+        z, powers = _turned(float(w)), [(spread, Decimal(0))]
+        for _ in range(max(len(A), len(B))):
+            powers.append(_times(powers[-1], z))
+        a, b = (
+            (sum(c * p[0] for c, p in zip(P, powers)), sum(c * p[1] for c, p in zip(P, powers)))
+            for P in (A, B)
+        )
+        inverse = _inverse((a[0] / spread, a[1] / spread))
+        minus_g = _times((-b[0] / spread, -b[1] / spread), _times(inverse, inverse))
+        yield [_times(powers[k], inverse) for k in range(first, len(B))] + [
+            _times(powers[k], minus_g) for k in range(1, len(A))
+        ]
+
+
 def exact_loss(kind: str, plant: Plant, spectrum: Spectrum, V: NDArray | None = None) -> float:
     """D or A of the lines of one input at a plant of one output in white noise; or trace V' M^-1 V, V (n, s), decimals or not."""
     with localcontext() as context:
         context.prec = 60
-        A, B = ([Decimal(float(x)) for x in side[0][0]] for side in (plant.den, plant.num))
-        first = int(np.flatnonzero(plant.num[0][0])[0])
         rows = []
-        for omega, power in zip(spectrum.omega, spectrum.power[:, 0, 0].real, strict=True):
-            z, powers = _turned(float(omega)), [(Decimal(1), Decimal(0))]
-            for _ in range(max(len(A), len(B))):
-                powers.append(_times(powers[-1], z))
-            a, b = (
-                (sum(c * p[0] for c, p in zip(P, powers)), sum(c * p[1] for c, p in zip(P, powers)))
-                for P in (A, B)
-            )
-            inverse = _inverse(a)
-            minus_g = _times((-b[0], -b[1]), _times(inverse, inverse))
-            size = (Decimal(float(power)) / Decimal(float(plant.noise_covariance[0, 0]))).sqrt()
-            line = [_times(powers[k], inverse) for k in range(first, len(B))]
-            line += [_times(powers[k], minus_g) for k in range(1, len(A))]
+        powers = spectrum.power[:, 0, 0].real
+        for power, line in zip(powers, _lines(plant, spectrum.omega), strict=True):
+            size = Decimal(float(power)).sqrt()
             rows += [[size * x[part] for x in line] for part in (0, 1)]
         n = len(plant.free)
         M = [[sum(row[i] * row[j] for row in rows) for j in range(n)] for i in range(n)]
         return _loss_of(kind, M, np.eye(n) if V is None else V)
+
+
+def exact_worth(plant: Plant, X: NDArray, omega: NDArray) -> float:
+    """The largest worth |X' dG|^2 of a line at some frequencies, X (n, s)."""
+    with localcontext() as context:
+        context.prec = 60
+        columns = [[Decimal(float(x)) for x in column] for column in X.T]
+        return max(
+            float(
+                sum(
+                    sum(c * x[part] for c, x in zip(column, line, strict=True)) ** 2
+                    for column in columns
+                    for part in (0, 1)
+                )
+            )
+            for line in _lines(plant, omega)
+        )
 
 
 def _loss_of(kind: str, M: list[list[Decimal]], V: NDArray) -> float:

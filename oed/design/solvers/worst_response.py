@@ -96,7 +96,10 @@ def worst_response_design(problem: Problem, family: Family, *, refine: bool, tol
         omega, variance = best.taken(found)
         if refine and tolerance < best.gap < NEARLY:
             for least in LINES:
-                polished = _polished(found, family, omega, least)
+                try:
+                    polished = _polished(found, family, omega, least)
+                except np.linalg.LinAlgError:  # lines of so little power are as good as none to doubles
+                    continue
                 if polished is not None and best.taken(polished) and best.gap <= tolerance:
                     break
         stalled = stalled + 1 if best.gap > 0.9 * before else 0
