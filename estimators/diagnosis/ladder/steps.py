@@ -233,10 +233,10 @@ def beyond_chance(
     before = after = samples = 0.0
     for y, a, b, use in zip(measured, first, second, counted, strict=True):
         e, change = (np.where(use, x, 0.0) for x in (y - a, b - a))
+        if not np.all(np.isfinite(change)):
+            return False
         before, after = before + float(e @ e), after + float((e - change) @ (e - change))
         samples += min(common_samples(e, change), float(use.sum()))
-    if not np.isfinite(after):
-        return False
     return after <= 0.0 or samples * float(np.log(max(before, 1e-300) / after)) > CHANCE
 
 

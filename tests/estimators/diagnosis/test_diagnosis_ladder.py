@@ -17,7 +17,7 @@ from estimators.diagnosis.ladder.asked import begun, outside
 from estimators.diagnosis.ladder.figures import together
 from estimators.diagnosis.ladder.held_out import _borne_after_all, continues, onward
 from estimators.diagnosis.ladder.outcome import Outcome
-from estimators.diagnosis.ladder.steps import Ladder, over_linear, refused
+from estimators.diagnosis.ladder.steps import Ladder, beyond_chance, common_samples, over_linear, refused
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.result.answers import LinearAnswer
 from oed.data import Record
@@ -353,3 +353,31 @@ def test_errors_of_several_outputs_come_together_where_each_counts() -> None:
     endless = np.where(np.arange(3000) == 7, np.inf, e[0])
     assert together([endless], [e[0]]).low == np.inf
     assert together([e[0]], [endless]) == alone
+
+
+def test_slow_signals_go_together_by_chance_and_quick_ones_do_not() -> None:
+    """The best of a hundred random walks takes half of another one's power and more; true changes of that share are told apart."""
+    rng, n = np.random.default_rng(12), 700
+    counted, nothing, taken = (np.ones(n, dtype=bool),), [np.zeros(n)], []
+    for _ in range(40):
+        noise, *others = np.cumsum(rng.standard_normal((101, n)), axis=1)
+        noise, others = noise - noise.mean(), np.array(others) - np.mean(others, axis=1, keepdims=True)
+        runs = others * (others @ noise / np.sum(others**2, axis=1))[:, None]
+        best = min(runs, key=lambda run: float(np.sum((noise - run) ** 2)))
+        taken.append(1.0 - np.sum((noise - best) ** 2) / np.sum(noise**2))
+        assert not beyond_chance([noise], nothing, [best], counted)
+    assert np.median(taken) > 0.5
+    true = lfilter([1.0], [1.0, -0.8], rng.standard_normal(n))
+    seen = true + np.std(true) * rng.standard_normal(n)
+    assert beyond_chance([seen], nothing, [true], counted)
+    assert not beyond_chance([seen], nothing, [true * np.inf], counted)
+
+
+def test_independent_samples_are_bartletts() -> None:
+    """The spread of the correlation of two autoregressions that know nothing of one another, pole .9: 1000 samples are 105."""
+    rng, n = np.random.default_rng(13), 1000
+    pairs = lfilter([1.0], [1.0, -0.9], rng.standard_normal((400, 2, n + 200)), axis=2)[:, :, 200:]
+    r = [float(a @ b / np.sqrt(a @ a * (b @ b))) for a, b in pairs]
+    told = float(np.median([common_samples(a, b) for a, b in pairs]))
+    assert told == pytest.approx(1.0 / np.var(r), rel=0.2)
+    assert told == pytest.approx(n * (1 - 0.81) / (1 + 0.81), rel=0.15)
