@@ -9,7 +9,7 @@ from estimators.diagnosis.loop import Setting, diagnose
 from estimators.diagnosis.result.report import Diagnosis
 from oed.data import Record
 from oed.errors import InputError
-from oed.files.clock import SECONDS
+from oed.files.clock import SECONDS, seconds_in
 from oed.files.documents import TEXT, keyed, read_document
 
 SIGNALS = {"deviations": True, "as logged": False}
@@ -141,9 +141,12 @@ def diagnose_files(
     opening = skip if skip is not None else 0 if test is None else int(known.get("skip", 0))
     _check(wanted, opening)
     unit, said = str(known.get("time_unit") or "s"), "sampling_time" in known
-    if said and unit not in SECONDS:
-        raise InputError(f"time_unit in meta.json is {unit!r}; known are {', '.join(SECONDS)}.")
-    stated = float(known["sampling_time"]) * SECONDS[unit] if said else None
+    of_unit = seconds_in(unit)
+    if said and not of_unit > 0.0:
+        raise InputError(
+            f"time_unit in meta.json is {unit!r}; known are {', '.join(SECONDS)}, and so many of them, as in '15 min'."
+        )
+    stated = float(known["sampling_time"]) * of_unit if said else None
 
     def read(path: Path | str) -> Record:
         told: list[str] = []
@@ -152,7 +155,7 @@ def diagnose_files(
         if assumed and stated is not None:
             record = record.replace(dt=stated, t0=record.t0 * stated)
             told.remove(assumed[0])
-        scale = SECONDS[unit] if stated is not None and columns.dt is None else 1.0
+        scale = of_unit if stated is not None and columns.dt is None else 1.0
         if stated is not None and scale != 1.0 and abs(scale * record.dt - stated) < 1e-3 * stated:
             record = record.replace(dt=stated, t0=record.t0 * scale)
             told.append(f"the times are taken in {unit}, the time_unit of meta.json")

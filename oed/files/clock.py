@@ -1,5 +1,7 @@
 """The sampling time that a column of times implies, and whether the times are uniform."""
 
+import re
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,12 +14,19 @@ SECONDS = {
     **dict.fromkeys(("day", "days"), 86400.0),
 }  # fmt: skip
 """Seconds in a unit of time, by its names. Not d, which differences have, and not m."""
+COUNTED = re.compile(r"\s*(\d+\.?\d*(?:e[-+]?\d+)?)?\s*(\D+)", re.IGNORECASE)
 UNIFORM = 1e-6
 """Largest deviation from a uniform clock that needs no explanation, in steps."""
 PRINTED = 12
 """Digits that a time may be printed to; from more on, its rounding is below what needs no explanation."""
 CALENDAR = 1e11, 1e3
 """Seconds, three thousand years, and lengths of the record, beyond both of which a first time counts something smaller than seconds."""
+
+
+def seconds_in(unit: str) -> float:
+    """Seconds in a unit of time, or in several, as in "15 min"; 0 where it is none."""
+    parts = COUNTED.fullmatch(unit)
+    return float(parts[1] or 1.0) * SECONDS.get(parts[2].strip().lower(), 0.0) if parts else 0.0
 
 
 def sampling_time(t: NDArray[np.float64], source: str, *, first_row: int = 0) -> tuple[float, float]:

@@ -49,6 +49,13 @@ def test_a_sampling_time_is_in_the_unit_of_time_that_the_description_names(case,
         times = [f"{5 * k}," if clock else "" for k in range(len(rows))]
         (tmp_path / name).write_text("\n".join([clock + header, *(t + row for t, row in zip(times, rows))]))
     assert case({"sampling_time": 5, "time_unit": "min"})[0].extra["train"].dt == 300.0
+    if clock != "t [min],":  # a column that says its own unit is in that one
+        of_five = (
+            {"sampling_time": 1, "time_unit": "5 min"}
+            if not clock
+            else {"sampling_time": 5, "time_unit": "1 min"}
+        )
+        assert case(of_five)[0].extra["train"].dt == 300.0
     with pytest.raises(InputError, match="time_unit in meta.json is 'fortnights'; known are s, "):
         case({"sampling_time": 5, "time_unit": "fortnights"})
     with pytest.raises(InputError, match="a number of 401 digits"):
