@@ -146,6 +146,9 @@ def candidates(
                 ]
                 out += [Candidate((Term((sign(a), centred(b))),))] if a[0] in "vu" and a in crossing else []
                 out += [Candidate((Term((sign(a), square(b))),))] if a[0] == "v" and a[1:] != b[1:] else []
+                # friction that grows with the deflection, as of a ring spring
+                grips = a[0] == "v" and b[0] == "y" and {a, b} <= crossing
+                out += [Candidate((Term((sign(a), magnitude(b))),))] if grips else []
                 # centrifugal, of an inertia that the other sets
                 if a[0] == "v" and b in y and a[1:] != b[1:]:
                     sets = [

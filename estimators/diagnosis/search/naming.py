@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from estimators.diagnosis.effects import Nature, named
 from estimators.diagnosis.effects.loops.ageing import WORN
@@ -128,17 +129,35 @@ def _folds(f: Fit, at: int, channel: Channel) -> bool:
     return float(np.mean(rarer[channel.keep])) >= FOLDED
 
 
+def _middle(f: Fit, c: Channel) -> Array:
+    """The inputs about which runs are scaled: their mean, or nothing where a model bends along the way that the mean takes it."""
+    along = any(part.effect in (STORE_CURVE, FILLED, WORN) for part in f.structure.parts)
+    return np.mean(c.u, axis=0) * (not along)
+
+
 def scaled_runs(f: Fit, c: Channel) -> list[Array]:
     """Runs of a fit on the inputs at no size about their mean, at a SMALL one, reversed and whole."""
-    middle = np.mean(c.u, axis=0)
-    if any(
-        part.effect in (STORE_CURVE, FILLED, WORN) for part in f.structure.parts
-    ):  # it bends along the way that the mean input takes it
-        middle = 0.0 * middle
+    middle = _middle(f, c)
     return [
         simulate(f.structure, f.p, middle + size * (c.u - middle), c.clock)
         for size in (0.0, SMALL, -1.0, 1.0)
     ]
+
+
+SPLITS = 2.0 ** np.arange(
+    0, 10
+)  # time constants in samples by which an input is split into a slow and a quick part
+
+
+def _unadded(f: Fit, c: Channel, still: Array, little: Array, full: Array) -> Array:
+    """(N,) a run on the inputs less its runs on a slow and a quick part of them that have half of a linear run's power each, all three
+    less the run `still`; zero of what is no number."""
+    lag = lambda x, time: np.asarray(lfilter([1.0 / time], [1.0, 1.0 / time - 1.0], x, axis=0))
+    time = min(SPLITS, key=lambda time: abs(float(np.var(lag(little, time)) - 0.5 * np.var(little))))
+    middle = _middle(f, c)
+    slow = lag(c.u - middle, time)
+    parts = (simulate(f.structure, f.p, u, c.clock) - still for u in (middle + slow, c.u - slow))
+    return np.nan_to_num(full - sum(parts), posinf=0.0, neginf=0.0)
 
 
 DATED = 0.05
@@ -164,8 +183,8 @@ def bending(
 ) -> list[Claim]:
     """The claims; of missing dynamics where a run is too near proportion for a nonlinear effect to have gained what it did.
 
-    What is proportional to either sign of the input alone, as rates that differ up and down, shows with the sign reversed. Most of the
-    gain may be of dynamics that the linear model lacks, and yet more dynamics alone may leave what the bend explains.
+    What is proportional to either sign of the input alone, as rates that differ up and down, shows with the sign reversed; what is so
+    to all of it, as friction that grows with the deflection, where two parts of an input act together. Most of the gain may be of dynamics that the linear model lacks, and yet more dynamics alone may leave what the bend explains.
     """
     runs = scaled_runs(f, bench.channel)
     if not all(np.all(np.isfinite(run)) for run in runs):
@@ -173,6 +192,7 @@ def bending(
     little, back, full = (run - runs[0] for run in runs[1:])
     keep = bench.channel.keep
     power = float(np.mean((full - little / SMALL)[keep] ** 2 + (0.5 * (full + back))[keep] ** 2))
+    power = max(power, float(np.mean(_unadded(f, bench.channel, runs[0], little, full)[keep] ** 2)))
     gained = bench.over(unused, bench.base.unused[0][:, bench.output]).value
     squares = lambda g: float(np.mean(g.residual**2))
     linear = (g for g in alternatives if g.structure.effects[0].effect.nature is Nature.LINEAR)

@@ -88,6 +88,7 @@ NAMED = {
     "linear inside": ("driven", [], {"delay": 2}),
     "springs": ("oscillator", [("stiffness_cubic", [0.1]), ("drag", [0.2])], {"rest": False}),
     "friction": ("oscillator", [("stribeck", [0.3, 0.2, 0.15]), ("offset", [0.1])], {}),
+    "ring spring": ("oscillator", [("coulomb_grip", [0.3])], {"rest": False}),
     "stop": ("oscillator", [("end_stop", [0.5])], {}),
     "hysteretic spring": ("oscillator", [("hysteretic_spring", [0.24, 0.4])], {}),
     "bilinear": ("cascade", [("bilinear_driven", [0.2])], {}),

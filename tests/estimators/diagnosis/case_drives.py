@@ -192,6 +192,11 @@ def damper(u, a):
     return linear(out)
 
 
+def buffers(u, a):
+    """A wagon on ring springs, whose rings rub the harder the farther they are pressed."""
+    return swing(lambda x, v, f, t: 0.08 * (f - x - 0.5 * a * abs(x) * np.tanh(v / 0.003)) - 0.03 * v, u)
+
+
 DRIVES = {
     # effect: maker, order of the linear model, form of the input
     "reported_in_time": (in_time, 2, {}),
@@ -210,6 +215,7 @@ DRIVES = {
     "flow_down": (drained, 3, {"hold": 15, "mean": -1.0}),
     "stiffness_settles": (curing, 2, {}), "inertia_settles": (icing, 2, {}), "resonance_settles": (stretching, 2, {}),
     "three_point": (damper, 3, {"hold": 12, "size": 0.7}),
+    "coulomb_grip": (buffers, 2, {}),
     "steps_input": (loaded_twice, 2, {}), "steps_output": (set_anew, 2, {}),
     "position_periodic of a wheel that was parked": (parked, 2, {"mean": 2.6, "size": 0.5}),
 }  # fmt: skip

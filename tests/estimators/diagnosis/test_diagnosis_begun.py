@@ -83,6 +83,19 @@ def test_a_store_that_was_full_is_no_missing_mode_where_more_dynamics_leave_what
     assert _renamed(channel, f, gained, [worse_than_the_bend]) == ["order"]
 
 
+def test_friction_that_grows_with_the_deflection_is_no_missing_mode_though_it_is_in_proportion(rng) -> None:
+    """A ring spring's run is as large as its input, with either sign: what two parts of an input do together shows it."""
+    s, u = Structure(2, layout="oscillator").adding(Part(named("coulomb_grip"))), rng.standard_normal((N, 1))
+    p = np.concatenate((np.log([0.09, 0.06]), [1.0, 0.0, 0.4]))
+    channel = _channel(u[:, 0], simulate(s, p, u, CLOCK) + 0.01 * rng.standard_normal(N))
+    f = fit(channel, s, p, np.ones(5))
+    assert f.p[-1] == pytest.approx(0.4, rel=0.05)
+    gained = 0.5 * float(np.var(channel.y))
+    assert _renamed(channel, f, gained, []) == ["coulomb_grip"]
+    f = replace(f, p=np.concatenate((f.p[:-1], [0.01])))
+    assert _renamed(channel, f, gained, []) == ["order"]
+
+
 def test_a_parameter_whose_sign_means_nothing_is_said_by_its_size(rng) -> None:
     channel, f = _tired(rng, 3.0, 0.002)
     assert max(f.p[2:]) < 0.0

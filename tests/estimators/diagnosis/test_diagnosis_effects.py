@@ -155,7 +155,7 @@ def test_a_limited_servo_agrees_with_casadi_and_with_its_differential_equation(l
 
 INSIDE = {
     "linear": [], "springs": [("stiffness", [0.1, 0.3])], "two": [("stiffness_square", [0.05]), ("drag", [0.2])],
-    "dry": [("stribeck", [0.3, 0.2, 0.15])], "tilted": [("coulomb_asymmetric", [0.3, 0.2]), ("drag", [0.3])],
+    "dry": [("stribeck", [0.3, 0.2, 0.15])], "grip": [("coulomb_grip", [0.4])], "tilted": [("coulomb_asymmetric", [0.3, 0.2]), ("drag", [0.3])],
     "corners": [("stiffness_upper", [0.7, 0.3]), ("stiffness_lower", [0.4, -0.2])], "gap": [("stiffness_gap", [0.7, -0.3])],
     "fifth": [("stiffness_quintic", [0.1, 0.1])], "damping": [("position_damping", [0.5])],
     "hysteresis": [("hysteretic_spring", [0.24, 0.4])], "input": [("bilinear", [0.1]), ("bilinear_driven", [0.2])],

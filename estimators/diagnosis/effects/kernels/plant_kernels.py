@@ -22,7 +22,7 @@ _FORCE = types.float64(*[types.float64] * 5, types.CPointer(types.float64))
 class Elements(NamedTuple):
     """What acts inside a plant and is no function of its present state alone; every field 0 where it is not there.
 
-    Dry friction of level (1 +- tilt) (coulomb + static exp(-(v / speed)^2)), a spring on the hysteretic part of a
+    Dry friction of level (1 +- tilt) (coulomb + grip |p| + static exp(-(v / speed)^2)), a spring on the hysteretic part of a
     Bouc-Wen element that saturates at `width`, and a stop that holds the first state within +-stop.
 
     """
@@ -34,6 +34,7 @@ class Elements(NamedTuple):
     spring: float = 0.0
     width: float = 0.0
     stop: float = 0.0
+    grip: float = 0.0
 
 
 class Held(NamedTuple):
@@ -148,13 +149,13 @@ def held_response(a, columns, h):  # pragma: no cover - compiled
 
 
 @compiled
-def dry_friction(v, ahead, gain, elements):  # pragma: no cover - compiled
+def dry_friction(v, ahead, gain, coulomb, elements):  # pragma: no cover - compiled
     """Mean dry friction over a step in which the velocity moves on a straight line, to second order in the step.
 
     The force keeps its side until the velocity is zero. From there on it holds what pushes less than the friction at rest,
     and else it is on the other side for the rest of the step.
     """
-    coulomb, static, speed, tilt = elements.coulomb, elements.static, elements.speed, elements.tilt
+    static, speed, tilt = elements.static, elements.speed, elements.tilt
     side = 1.0 if v > 0.0 else -1.0
     here, there = side * (1.0 + side * tilt), -side * (1.0 - side * tilt)
     force = here * (coulomb + static * np.exp(-((v / speed) ** 2)))
@@ -191,7 +192,7 @@ def simulate_feedback(drive, held, elements, x0, steps, c, f, g):  # pragma: no 
     x = x0.copy()
     free, push = np.empty(m), np.empty(m)
     nu = gamma_u.shape[1]
-    dry = elements.coulomb != 0.0 or elements.static != 0.0
+    dry = elements.coulomb != 0.0 or elements.static != 0.0 or elements.grip != 0.0
     bending = elements.spring != 0.0
     forces = c.shape[0]
     z = 0.0
@@ -246,7 +247,7 @@ def simulate_feedback(drive, held, elements, x0, steps, c, f, g):  # pragma: no 
                 v1 = 0.0
                 for i in range(m):
                     v1 += velocity[i] * (free[i] - gamma_w[i] * w)
-                w += dry_friction(v, v1, gv, elements)
+                w += dry_friction(v, v1, gv, elements.coulomb + elements.grip * abs(p), elements)
             p1 = 0.0
             for i in range(m):
                 x[i] = free[i] - gamma_w[i] * w

@@ -154,8 +154,9 @@ def feedback_step(order: int, held: Any, elements: Any, forces: list[tuple[Any, 
     start, trial = ca.dot(position, x), free - gw * before
     w = 0.5 * (before + load(trial, bend(z, start, ca.dot(position, trial), elements.width or 1.0)))
     ahead, gain = ca.dot(velocity, free - gw * w), ca.dot(velocity, gw)
-    dry = (elements.coulomb, elements.static, elements.speed, elements.tilt)
-    if any(dry[:2]):
+    level = elements.coulomb + elements.grip * ca.fabs(start)
+    dry = (level, elements.static, elements.speed, elements.tilt)
+    if elements.coulomb or elements.grip or elements.static:
         w = w + dry_friction_term()(ca.dot(velocity, x), ahead, gain, *dry)
     after = free - gw * w
     hysteretic = bend(z, start, ca.dot(position, after), elements.width or 1.0)
