@@ -142,7 +142,7 @@ PLANT = (
             curve=lambda x, c: _dry(x, c, tilt=c[1]),
             starts=lambda s: _grid(*([f, g] for f in (0.1, 0.3) for g in (-0.3, 0.3)), sizes=[s.su, 1.0])),
     _inside("coulomb_grip", "coulomb_friction", "dry friction that grows in proportion to the deflection: a ring spring, the inside of a material",
-            parameters={"share": "1"}, trials=6, reversing=True, layouts=MOVING, family="frictions",
+            parameters={"share": "1"}, trials=6, reversing=True, layouts=MOVING,
             inside=lambda c: {"grip": abs(c[0])}, starts=lambda s: _grid([0.1], [0.3], [0.6], sizes=[1.0])),
     _inside("drag", "nonlinear_drag", "quadratic drag c |v| v", parameters={"drag": "u/(u/sample)^2"}, trials=2,
             force=lambda p, v, u, q, s, c: np.abs(c[0]) * np.abs(v) * v, against="velocity",
