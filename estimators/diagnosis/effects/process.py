@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, level_before
 from estimators.diagnosis.effects.input import kept
-from estimators.diagnosis.effects.loops import PACES, slowest_rate
+from estimators.diagnosis.effects.loops import ACROSS, PACES, slowest_rate
 from estimators.diagnosis.effects.profiled import BEGUN, ended, firm, lean, profile, quick_behind
 from estimators.residual.algebra import powers_of_two
 
@@ -38,8 +38,6 @@ CONTENTS = (-0.6, 0.5, 1.5, 4.0, 10.0)
 """Relative changes over the record of what a capacity had at its start."""
 FILLS, MOST_FLOWS = 0.5, 3
 """Of all that flows, what must be net for something to be filled or emptied; inputs of a record that are tried with one another."""
-ACROSS = tuple(1.5 ** np.arange(1, 11))
-"""Samples that a limited actuator takes across its input's range, that are tried: quicker ones are hardly limited."""
 RATIOS, NEARING = (0.5, 0.7, 1.0, 1.4, 2.0), (0.0, 1.5)
 """Of the rate down to the rate up, and lags in samples, that are tried."""
 SLOWEST = 0.1

@@ -4,6 +4,7 @@ from estimators.diagnosis.effects.loops.carried import CARRIED_BY
 from estimators.diagnosis.effects.loops.flows import FLOWS
 from estimators.diagnosis.effects.loops.geared import GEARED
 from estimators.diagnosis.effects.loops.limited import (
+    ACROSS,
     COURSED,
     PACES,
     RELAY,
@@ -25,7 +26,7 @@ from estimators.diagnosis.effects.loops.scanned import SCANNED
 from estimators.diagnosis.effects.loops.stores import STORES
 from estimators.diagnosis.effects.loops.three_point import THREE_POINT
 
-__all__ = ["FLOWS", "LOOPS", "PACES", "STORES", "play_widths", "slowest_rate"]
+__all__ = ["ACROSS", "FLOWS", "LOOPS", "PACES", "STORES", "play_widths", "slowest_rate"]
 
 LOOPS = (
     SCANNED,

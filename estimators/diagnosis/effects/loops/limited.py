@@ -20,6 +20,8 @@ from estimators.diagnosis.effects.profiled import BEGUN, CROSSED, ended, firm, p
 Array = NDArray[Any]
 PACES = (0.5, 1.0, 2.0, 4.0)
 """Of the linear model's slowest pole, how fast a loop is taken to be: one that is limited looks slower than it is."""
+ACROSS = tuple(1.5 ** np.arange(1, 11))
+"""Samples that a limited actuator takes across its input's range, that are tried: quicker ones are hardly limited."""
 DRIFTING = 3.0
 """Records per time constant, of a pole that is no loop's: a model lets it follow what moves once in a record."""
 WIDTHS = (0.5, 0.7, 0.9, 1.2, 1.7, 2.5)

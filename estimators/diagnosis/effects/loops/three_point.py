@@ -8,15 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
+from estimators.diagnosis.effects.loops.limited import ACROSS
 from estimators.diagnosis.effects.profiled import CROSSED, ended, firm, lean, nearer, profile
 
 Array = NDArray[Any]
-ACROSS = tuple(1.5 ** np.arange(1, 11))
-"""Samples that the motor takes across its input's range, that are tried: quicker ones are hardly limited."""
 RATIOS, HALTS, ZONES = (0.7, 1.0, 1.4), (0.01, 0.03, 0.07, 0.15), (0.0, 0.05, 0.12)
 """Of the speed down to the speed up; of the input's range, the distance from the command at which the motor halts, and how much
 farther off it starts, that are tried."""
-
 NEAREST, ROUNDS = 3, 2
 """Shapes that are moved and fitted, and how often."""
 
@@ -43,12 +41,12 @@ def _motors(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         su, steps = float(np.std(channel.u[:, j])), wide * np.array([0.02, 0.04])
         starts = [p for _, p in tried]
         for _ in range(ROUNDS):  # in turn: what crosses an edge has no derivative, speeds and poles have
-            moved = (profile(channel, base, part, [p[len(base.p) :]], p)[0] for p in starts)
+            moved = [q for p in starts for q in profile(channel, base, part, [p[len(base.p) :]], p)]
             near = sorted(
                 (nearer(channel, base, part, best, steps) for best in moved), key=lambda entry: entry[0]
             )
             fits = list(ended(channel, base, part, (p for _, p in near), [su, su, su, 1e6 * CROSSED * su]))
-            starts = [min(fits, key=lambda f: f.criterion).p]
+            starts = [f.p for f in sorted(fits, key=lambda f: f.criterion)[:1]]
         yield from lean(channel, fits)
 
 
