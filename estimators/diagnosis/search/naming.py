@@ -144,9 +144,8 @@ def scaled_runs(f: Fit, c: Channel) -> list[Array]:
     ]
 
 
-SPLITS = 2.0 ** np.arange(
-    0, 10
-)  # time constants in samples by which an input is split into a slow and a quick part
+SPLITS = 2.0 ** np.arange(0, 10)
+"""Time constants in samples, by one of which an input is split into a slow and a quick part."""
 
 
 def _unadded(f: Fit, c: Channel, still: Array, little: Array, full: Array) -> Array:
@@ -184,7 +183,8 @@ def bending(
     """The claims; of missing dynamics where a run is too near proportion for a nonlinear effect to have gained what it did.
 
     What is proportional to either sign of the input alone, as rates that differ up and down, shows with the sign reversed; what is so
-    to all of it, as friction that grows with the deflection, where two parts of an input act together. Most of the gain may be of dynamics that the linear model lacks, and yet more dynamics alone may leave what the bend explains.
+    to all of it, as friction that grows with the deflection, where two parts of an input act together. Most of the gain may be of
+    dynamics that the linear model lacks, and yet more dynamics alone may leave what the bend explains.
     """
     runs = scaled_runs(f, bench.channel)
     if not all(np.all(np.isfinite(run)) for run in runs):

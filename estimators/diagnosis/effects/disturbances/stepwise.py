@@ -240,11 +240,8 @@ STEPS_INPUT = _steps(
     slot=Slot.INPUT, settles=True, search=_several(lambda: STEPS_INPUT, "lagged"),
 )  # fmt: skip
 STEPS_OUTPUT = _steps(
-    "steps_output",
-    "y",
-    "steps are added to the output, one after the other",
-    slot=Slot.ADDED,
+    "steps_output", "y", "steps are added to the output, one after the other", slot=Slot.ADDED,
     search=_several(lambda: STEPS_OUTPUT, "bare"),
-)
+)  # fmt: skip
 
 STEPWISE = (PULSE, STEPS_INPUT, STEPS_OUTPUT)
