@@ -45,33 +45,24 @@ CURVES = {
     "output_dead_zone": lambda x, a, b: x - max(a, b) if x > max(a, b) else x - min(a, b) if x < min(a, b) else 0.0,
     "offset": lambda x, a, b: x + a, "input_staircase": lambda x, a, b: b + a * round((x - b) / a),
 }  # fmt: skip
-TWICE = [0.3, 70.4, -0.2, 90.0]
+
+
+def _stepped(x, k, p):
+    return x + sum(a * min(max(k - t, 0), 1) for a, t in zip(p[::2], p[1::2], strict=True))
+
+
 TIMED = {
     "gain_change": ([0.3, 70.4], lambda x, k, p: x * (1 + p[0] * min(max(k - p[1], 0), 1))),
-    "step_input": ([0.3, 70.4], lambda x, k, p: x + p[0] * min(max(k - p[1], 0), 1)),
-    "step_output": ([0.3, 70.4], lambda x, k, p: x + p[0] * min(max(k - p[1], 0), 1)),
-    "pulse_input": (
-        [0.3, 30.4, 70.4],
-        lambda x, k, p: x + p[0] * (min(max(k - p[1], 0), 1) - min(max(k - p[2], 0), 1)),
-    ),
-    "steps_input": (
-        TWICE,
-        lambda x, k, p: x + sum(a * min(max(k - t, 0), 1) for a, t in zip(p[::2], p[1::2], strict=True)),
-    ),
-    "steps_output": (
-        TWICE,
-        lambda x, k, p: x + sum(a * min(max(k - t, 0), 1) for a, t in zip(p[::2], p[1::2], strict=True)),
-    ),
+    "step_input": ([0.3, 70.4], _stepped), "step_output": ([0.3, 70.4], _stepped),
+    "pulse_input": ([0.3, 30.4, 70.4], lambda x, k, p: _stepped(x, k, [p[0], p[1], -p[0], p[2]])),
+    "steps_input": ([0.3, 70.4, -0.2, 90.0], _stepped), "steps_output": ([0.3, 70.4, -0.2, 90.0], _stepped),
     "tones": ([0.2, 0.5, -0.4], lambda x, k, p: x + p[1] * math.cos(p[0] * k) + p[2] * math.sin(p[0] * k)),
     "waveform": ([0.2, 0.5, -0.4], lambda x, k, p: x + p[1] * math.cos(p[0] * k) + p[2] * math.sin(p[0] * k)),
     "drift": ([0.1, 0.7], lambda x, k, p: x + p[0] + p[1] * k / 150),
-    "gain_periodic": (
-        [0.2, 0.5, -0.4],
-        lambda x, k, p: x * (1 + p[1] * math.cos(p[0] * k) + p[2] * math.sin(p[0] * k)),
-    ),
+    "gain_periodic": ([0.2, 0.5, -0.4], lambda x, k, p: x * (1 + p[1] * math.cos(p[0] * k) + p[2] * math.sin(p[0] * k))),
     "gain_drift": ([0.4], lambda x, k, p: x * (1 + p[0] * k / 150)),
     "gain_decay": ([0.4], lambda x, k, p: x * math.exp(-p[0] * k / 150)),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("key", CURVES)

@@ -118,21 +118,6 @@ def test_what_comes_back_with_no_share_told_from_nothing_is_more_dynamics(share,
     assert as_shown(f.structure.parts[-1], f, replace(channel, y=y)).effect.key == key
 
 
-@pytest.mark.parametrize(("more", "key"), [(0.0, "order"), (60.0, "capacity_bump")])
-def test_a_bump_far_from_all_levels_is_no_lag_though_its_size_is_told_from_nothing(more, key, rng) -> None:
-    """An accumulator's gas spring, softer the fuller it is, was a bump of 2193 +- 50340 at -9 +- 41 L/min and became "more dynamics"."""
-    n = 800
-    u = np.repeat(rng.uniform(-1.0, 1.0, n // 8), 8)
-    s = Structure(1).adding(Part(named("capacity_bump")))
-    p, scales = np.array([-0.3, 0.7, 0.5, more, -4.0, 2.0]), np.ones(6)
-    channel = Channel(u[:, None], u, Clock(np.arange(float(n)), n), np.ones(n, dtype=bool))
-    y = simulate(s, p, channel.u, channel.clock) + 0.02 * rng.standard_normal(n)
-    f = fit(replace(channel, y=y), s, p + [0.0, 0.0, 0.0, 0.1, 0.0, 0.0], scales)
-    value, error, _ = naming.parameters_of(f, replace(channel, y=y))["capacity_bump.more"]
-    assert abs(value) < 1.96 * error
-    assert as_shown(f.structure.parts[-1], f, replace(channel, y=y)).effect.key == key
-
-
 def test_the_gain_that_all_inputs_lose_is_found_though_a_slow_pole_had_taken_its_place(rng) -> None:
     """Two inputs about levels of their own: as the gain decays so does the level, which a pole that nothing drives follows too."""
     n, rate = 900, 0.5

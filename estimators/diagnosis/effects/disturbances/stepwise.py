@@ -32,10 +32,11 @@ class _Changes:
     at once, or in an autoregression of it, which knows of resonances, and hears little of what is slow beside its noise."""
 
     def __init__(self, channel: Any, inputs: tuple[int, ...], way: str) -> None:
+        from estimators.diagnosis.share.signals import late
+
         self.channel, self.way = channel, way
         u, y, n = channel.u[:, list(inputs)], channel.y, len(channel)
         if way == "regressed":
-            late = lambda x, k: np.concatenate((np.repeat(x[:1], k), x[: n - k]))
             past = [late(x, k) for x in (y, *u.T) for k in range(1, LAGS + 1)]
             self.Z = np.linalg.qr(np.column_stack((*past, u, np.ones(n)))[channel.keep])[0]
         else:
@@ -207,12 +208,12 @@ def _several(effect: Callable[[], Effect], way: str) -> Callable[..., Iterator[A
     def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         least: dict[int, float] = {}
         for sizes, times in _changing(channel, base, way):
-            before, best = dict(least), least
+            before = dict(least)
             for f in _fits(channel, base, effect(), sizes, times):
                 yield f
                 j = f.structure.parts[-1].channel
-                best[j] = min(best.get(j, np.inf), f.criterion)
-            if not any(v < before.get(j, np.inf) - AGAIN for j, v in best.items()):
+                least[j] = min(least.get(j, np.inf), f.criterion)
+            if not any(v < before.get(j, np.inf) - AGAIN for j, v in least.items()):
                 return
 
     return search
