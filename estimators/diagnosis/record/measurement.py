@@ -88,9 +88,25 @@ def held_samples(y: Array) -> NDArray[np.bool_]:
     # What was lost comes at once with the next sample, so that this moves no less than others; a signal that creeps does not, and
     # one that rests on a coarse scale moves by its least step.
     told = lambda way: len(last) > 0 and mannwhitneyu(steps[last], moved, alternative=way).pvalue
-    if told("greater") > CHANCE if coarse else told("less") < CREEPS:
+    if (told("greater") > CHANCE if coarse else told("less") < CREEPS) or _of_a_least_step(moved, len(y)):
         held[:] = False
     return held
+
+
+STILL = 0.4
+"""Share of the samples in which the reading stands at least, of a sensor that reports changes only."""
+SMALL = 0.5
+"""Of the median move: of moves whose sizes are as frequent as any down to none, a share of half of that is smaller."""
+
+
+def _of_a_least_step(moved: Array, n: int) -> bool:
+    """Whether a reading that mostly stands moves (moves,) by a least step and more, as a sensor does that reports changes only.
+
+    Losses come at any time, and end in small moves as often as in any: they are no rarer than larger ones, so that by the median's
+    half a quarter of them is smaller.
+    """
+    few = binom.cdf(np.sum(moved < SMALL * np.median(moved)), len(moved), 0.5 * SMALL) if len(moved) else 1.0
+    return bool(len(moved) <= (1.0 - STILL) * n and few < CHANCE)
 
 
 def _too_long(repeats: NDArray[np.bool_]) -> NDArray[np.bool_]:
