@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,10 @@ from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Siz
 from estimators.diagnosis.effects.input import broken_line, dead_zone, exponential, odd, quantiles, zones
 
 Array = NDArray[Any]
+
+
+BETWEEN = 4
+"""Values per sample that a play at the output follows where the linear part is not known between samples."""
 
 
 def _lag(x: Array, p: Array, clock: Clock) -> Array:
@@ -36,10 +41,23 @@ def _upsampled(x: Array, by: int) -> Array:
     return np.stack(rows, axis=1).ravel()
 
 
-def _play(x: Array, p: Array, clock: Clock) -> Array:
-    from estimators.diagnosis.effects.kernels.recursion_kernels import play
+def _play(x: Array, p: Array, clock: Clock, by: int = 1) -> Array:
+    """Play in what follows a signal of `by` values per sample; it stands in the middle of its gap where a record begins."""
+    from estimators.diagnosis.effects.kernels.recursion_kernels import play, settled
 
-    return play(np.ascontiguousarray(x), abs(p[0]))
+    x = settled(np.ascontiguousarray(x), by * clock.lead)
+    return play(x, abs(p[0]), x[0])
+
+
+def _before_play(key: str, channel: Any, base: Any, j: int) -> Any:
+    """A start whose linear part is made for what the play shows of it, with the poles that it needs."""
+    from estimators.diagnosis.effects import named
+    from estimators.diagnosis.model.shown import with_play
+    from estimators.diagnosis.model.structure import Part
+    from estimators.diagnosis.search.starts import Start
+
+    f = with_play(channel, base, Part(named(key), j))
+    return None if f is None else Start(f.structure, f.p, f.scales, base.deviance - f.deviance)
 
 
 def _widths(s: Sizes) -> Grid:
@@ -76,7 +94,8 @@ def _sensor(key: str, sentence: str, parameters: dict[str, str], trials: float, 
 def _backlash(key: str, sentence: str, **fields: Any) -> Effect:
     return Effect(
         key=key, cause="backlash", nature=Nature.DYNAMIC, slot=Slot.OUTPUT, sentence=sentence, trials=6, memory=True,
-        parameters={"half_width": "y"}, family="backlash", reversing=True, starts=_widths, **fields,
+        parameters={"half_width": "y"}, family="backlash", reversing=True, starts=_widths,
+        more=partial(_before_play, key), **fields,
     )  # fmt: skip
 
 
@@ -120,7 +139,7 @@ OUTPUT = (
     _sensor("output_absolute", "the sensor has another gain for each sign, y + c |y|", {"c": "1"}, 1, amplitude=0,
             apply=lambda x, p, c: x + p[0] * np.abs(x), starts=lambda s: ([[0.05]], [1.0])),
     _backlash("backlash_output", "play at the output",
-              apply=lambda x, p, clock: _play(_upsampled(x, 4), p, clock)[::4], between=True),
+              apply=lambda x, p, clock: _play(_upsampled(x, BETWEEN), p, clock, BETWEEN)[::BETWEEN], between=True),
     _backlash("backlash_sampled", "play at the output that moves with the samples, not between them", apply=_play),
 )  # fmt: skip
 

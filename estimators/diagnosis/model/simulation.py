@@ -222,21 +222,24 @@ def simulate(
         if part.effect.signal is not None:
             y = part.effect.signal(np.column_stack((u, y)), u.shape[1], p[sl], clock)
             continue
-        played = _played(s, p, U, p[sl]) if part.effect.between and not k else None
+        played = _played(s, p, U, p[sl], clock) if part.effect.between and not k else None
         y = part.apply(y, p[sl], clock) if played is None else played
     return y[settle : settle + n]
 
 
-def _played(s: Structure, p: Array, U: Array, width: Array) -> Array | None:
+def _played(s: Structure, p: Array, U: Array, width: Array, clock: Clock) -> Array | None:
     """Output of the linear part through a play that follows it between the samples; None where it is not known there."""
     if s.layout != "tf" or any(part.effect.slot in (Slot.PATH, Slot.START) for part in s.parts):
         return None
-    from estimators.diagnosis.effects.kernels.recursion_kernels import play
+    from estimators.diagnosis.effects.kernels.recursion_kernels import play, settled
     from estimators.diagnosis.model.intersample import between_samples
 
     b = p[s.order : s.plant_size].reshape(len(s.inputs), s.taps)
     fine = between_samples(U, b, p[: s.order], s.delay, FINE)
-    return None if fine is None else np.ascontiguousarray(play(fine.ravel(), abs(width[0]))[::FINE])
+    if fine is None:
+        return None
+    x = settled(fine.ravel(), FINE * clock.lead)
+    return np.ascontiguousarray(play(x, abs(width[0]), x[0])[::FINE])
 
 
 def free_responses(s: Structure, p: Array, n: int) -> Array:

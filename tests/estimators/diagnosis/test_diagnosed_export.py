@@ -86,6 +86,7 @@ def test_a_named_answer_is_its_twin(name):
         "warm",
         "store",
         "on change",
+        "plays",
     ],
 )
 def test_a_named_answer_settles_under_an_operating_level_as_the_simulation_does(name):

@@ -44,6 +44,15 @@ def play(signal, half_width, start=0.0):  # pragma: no cover - compiled
 
 
 @compiled
+def settled(signal, lead):  # pragma: no cover - compiled
+    """The signal, at rest for the `lead` samples before its record instead of on its way there from zero."""
+    out = signal.copy()
+    if 0 < lead < signal.shape[0]:
+        out[:lead] = signal[lead - 1]
+    return out
+
+
+@compiled
 def reported(signal, least, start, beaten):  # pragma: no cover - compiled
     """The signal as last reported: before the record as `start`, then wherever it is further from that than the least step, or `beaten`."""
     out = np.empty_like(signal)

@@ -44,6 +44,12 @@ def plays(x: Array, p: Array, clock: Clock) -> Array:
     return x + sum(w * moved(x, r, p[-1]) for w, r in zip(p[1:-1], play_widths(p[0]), strict=True))
 
 
+def _played(x: Array, p: Array, clock: Clock) -> Array:
+    from estimators.diagnosis.effects.kernels.recursion_kernels import settled
+
+    return plays(settled(np.ascontiguousarray(x), clock.lead), p, clock)
+
+
 REACHES, SHARES = (0.5, 1.0, 2.0, 4.0), (0.7, 3.0)
 """Of a signal's standard deviation, the widest play, and of what acts directly, what acts through plays, from which shapes go on:
 a play as wide as the signal is long never moves, and what is narrower than noise is none."""
@@ -174,7 +180,8 @@ SIDE_BY_SIDE = Effect(
 PLAYED = Effect(
     key="plays_output", cause="hysteresis", nature=Nature.DYNAMIC, slot=Slot.OUTPUT, memory=True, reversing=True, trials=40,
     sentence="the output has hysteresis: it is read directly, and through plays of four widths side by side",
-    parameters={k: v.format("y") for k, v in PLAYED_BY.items()}, apply=plays,
+    parameters={k: v.format("y") for k, v in PLAYED_BY.items()},
+    apply=_played,
     search=mended(lambda: PLAYED, lambda c: looped(float(np.std(c.y))),
                   lambda c, best: [[best[0] * f, *(np.array(best[1:]) * g)] for f in (0.7, 1.0, 1.4) for g in (0.6, 1.6)],
                   lambda c: _units(float(np.std(c.y))), _unplayed),

@@ -1,7 +1,6 @@
 """Sensors that report a change of more than a least step, and stand in between; some report at fixed times besides."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,16 +8,20 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
 from estimators.diagnosis.effects.output import KEPT
+from estimators.diagnosis.effects.sensing.sensors import settled
+from estimators.diagnosis.record.measurement import STILL
 
 Array = NDArray[Any]
-STILL, REPORTS = 0.4, 20
-"""Share of the samples in which the reading stands, and moves at least, of a sensor that reports changes only."""
+REPORTS = 20
+"""Moves of the reading at least, of a sensor that reports changes only."""
 CLEAR_OF = 6.0
 """Of the spread of the steps from sample to sample, from which on one is a report: the others are noise, or none."""
 LEAST_STEPS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.35)
 """Quantiles of the reports' steps at which the least change that is reported may lie: most are larger, as the signal moves on."""
 BEATS, SHORTEST = 8, 3
 """Reports at fixed times that a record must hold, and samples from one to the next at least."""
+NEARBY = np.linspace(0.85, 1.15, 31)
+"""Factors of the best of them that are looked at then."""
 BEATEN = (0.1, 0.2, 0.3, 0.45, 0.6, 0.75, 0.9, 0.97)
 """Quantiles of the reports' steps at which the least one may lie where those at fixed times are of any size."""
 
@@ -29,7 +32,8 @@ def _reported(x: Array, p: Array, clock: Clock) -> Array:
     beaten = (
         np.zeros(len(x), dtype=bool) if len(p) < 3 else (clock.k - p[2]) % max(abs(float(p[1])), 1.0) < 0.5
     )
-    return reported(np.ascontiguousarray(x), abs(float(p[0])), float(x[0] + p[-1]), beaten)
+    x = settled(x, clock)
+    return reported(x, abs(float(p[0])), float(x[0] + p[-1]), beaten)
 
 
 def _beat(moved: NDArray[np.bool_]) -> tuple[int, int]:
@@ -47,6 +51,7 @@ def _beat(moved: NDArray[np.bool_]) -> tuple[int, int]:
 def _reports(channel: Any, base: Any, beaten: bool) -> Iterator[Any]:
     """A linear model of the samples that were reported, which are the signal itself, and the least step that leaves least."""
     from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.shown import LATER, UNTOLD, as_shown, begun_at_rest
     from estimators.diagnosis.model.simulation import simulate
     from estimators.diagnosis.model.structure import Part
 
@@ -60,29 +65,24 @@ def _reports(channel: Any, base: Any, beaten: bool) -> Iterator[Any]:
     every, place = _beat(moved) if beaten else (0, 0)
     if beaten and not every:
         return
-    seen = np.concatenate(([True], moved))
-    f = fit(replace(channel, keep=seen & keep), s, base.p, base.scales, iterations=40, colour=False)
-    new = s.adding(Part(BEAT if beaten else REPORTED, s.inputs[0]))
+    seen = np.concatenate(([False], moved))  # the first reading may be of any time before
     beat = [float(every), float((channel.clock.k[0] + place + 1) % every)] if beaten else []
+    first = int(np.argmax(moved)) + 1
+    quantiles = np.quantile(steps[moved], BEATEN if beaten else LEAST_STEPS)
+    shown = list(as_shown(channel, base, channel.y, seen, LATER))
+    least = min(f.criterion for f in shown) + UNTOLD
+    f = begun_at_rest(channel.without(~seen), next(f for f in shown if f.criterion < least))
+    new, at = f.structure.adding(Part(BEAT if beaten else REPORTED, s.inputs[0])), len(f.p)
 
     def left(p: Array) -> float:
-        return float(np.sum((channel.y - simulate(new, p, channel.u, channel.clock)) ** 2))
+        return float(np.sum((channel.y - simulate(new, p, channel.u, channel.clock))[keep] ** 2))
 
-    first = int(np.argmax(moved)) + 1
-    off = float(np.mean(channel.y[:first])) - float(simulate(s, f.p, channel.u, channel.clock)[0])
-    quantiles = np.quantile(steps[moved], BEATEN if beaten else LEAST_STEPS)
-    best = min(([size, *beat, off] for size in quantiles), key=lambda q: left(np.append(f.p, q)))
-    near = (np.append(f.p, [best[0] * factor, *best[1:]]) for factor in np.linspace(0.85, 1.15, 31))
-    p = min(near, key=left)
-    size = 0.05 * p[len(f.p)]
-    yield fit(
-        channel,
-        new,
-        p,
-        np.append(f.scales, [size, *np.zeros(len(beat)), size]),
-        noise=base.noise,
-        iterations=10,
-    )
+    off = float(np.mean(channel.y[:first]) - simulate(f.structure, f.p, channel.u, channel.clock)[0])
+    best = min((np.append(f.p, [size, *beat, off]) for size in quantiles), key=left)
+    near = np.where(np.arange(len(best)) == at, best * NEARBY[:, None], best)
+    size = 0.05 * best[at]
+    scales = np.append(f.scales, [size, *np.zeros(len(beat)), size])
+    yield fit(channel, new, min(near, key=left), scales, noise=base.noise, iterations=10)
 
 
 SENDS = "the sensor reports a change of more than a least step only, and stands in between"

@@ -31,9 +31,9 @@ def _centred(x: Array, p: Array) -> tuple[Array, float, float]:
 
 def settled(x: Array, clock: Clock) -> Array:
     """What a sensor has read: before the record that was its rest, not the way there from zero."""
-    if not 0 < clock.lead < len(x):
-        return x
-    return np.concatenate((np.full(clock.lead, x[clock.lead - 1]), x[clock.lead :]))
+    from estimators.diagnosis.effects.kernels.recursion_kernels import settled
+
+    return settled(np.ascontiguousarray(x), clock.lead)
 
 
 def _paced(x: Array, p: Array, clock: Clock) -> Array:

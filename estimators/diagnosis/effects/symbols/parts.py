@@ -27,17 +27,22 @@ SAMPLES = 64
 SIZES = (0.01, 0.1, 1.0, 10.0)
 
 
-def _play(w: Wiring, x: Any, half: float, stood: float | None = None) -> Any:
-    """A play of half a width from where it stood aside of its first command; at the output, without such, from zero."""
-    off = 0.0 if stood is None else aside(half, stood)
-    s = w.state(off if stood is None else w.value(x) + off)
-    s.after = terms.play_step()(s.x, x, half)
+def _read(w: Wiring, moved: Any, stood: Any) -> Any:
+    """What a sensor remembers, which before the record stood by its signal at rest, whatever way from zero that is on."""
+    return w.ca.if_else(w.k > -0.5, moved, stood)
+
+
+def _play(w: Wiring, x: Any, half: float, stood: float = 0.0, *, reads: bool = False) -> Any:
+    """A play of half a width from where it stood aside of its first command, or of what it `reads`."""
+    off = aside(half, stood)
+    s, moved = w.state(w.value(x) + off), terms.play_step()
+    s.after = _read(w, moved(s.x, x, half), x + off) if reads else moved(s.x, x, half)
     return s.after - off
 
 
 def _reported(w: Wiring, x: Any, p: Array) -> Any:
     s = w.state(w.value(x) + p[1])
-    s.after = w.ca.if_else(w.ca.fabs(x - s.x) > abs(p[0]), x, s.x)
+    s.after = _read(w, w.ca.if_else(w.ca.fabs(x - s.x) > abs(p[0]), x, s.x), x + p[1])
     return s.after
 
 
@@ -48,8 +53,14 @@ def _paced(w: Wiring, x: Any, p: Array) -> Any:
     return s.after + p[2]
 
 
-def _side_by_side(w: Wiring, x: Any, p: Array) -> Any:
-    return x + sum(a * _play(w, x, half, p[-1]) for a, half in zip(p[1:-1], play_widths(p[0]), strict=True))
+def _side_by_side(reads: bool) -> Callable[[Wiring, Any, Array], Any]:
+    return lambda w, x, p: (
+        x
+        + sum(
+            a * _play(w, x, half, p[-1], reads=reads)
+            for a, half in zip(p[1:-1], play_widths(p[0]), strict=True)
+        )
+    )
 
 
 def _of_angle(w: Wiring, x: Any, p: Array) -> Any:
@@ -181,8 +192,8 @@ def _levelled(w: Wiring, x: Any, p: Array) -> Any:
 
 
 TWINS: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
-    "plays": _side_by_side, "plays_output": _side_by_side,
-    "backlash_input": lambda w, x, p: _play(w, x, abs(p[0]), p[1]), "backlash_sampled": lambda w, x, p: _play(w, x, abs(p[0])), **LOOPED,
+    "plays": _side_by_side(False), "plays_output": _side_by_side(True),
+    "backlash_input": lambda w, x, p: _play(w, x, abs(p[0]), p[1]), "backlash_sampled": lambda w, x, p: _play(w, x, abs(p[0]), reads=True), **LOOPED,
     "gain_of_angle": _of_angle, "gain_fatigue": _used_up, "gain_worn": _worn, "loss_heat": _warmed, "stiction": _stem(False), "stiction_sliding": _stem(True), "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag, "recycle": _recycled,
     "gain_heat": _heated, "integral_curve": _store, "sandwich": _line, "input_lines": _line_from_origin,
     "output_lines": _line_from_origin, "reported_on_change": _reported, "sensor_paced": _paced, "automatic_gain": _levelled,
