@@ -70,7 +70,7 @@ def test_readings_between_reports_of_changes_are_not_lost():
     u, _, y = historian(rng, 0.04)
     assert not lost_samples(u[:, None], y).any()
     lost = lags(u, 16.0, 5.0) + 0.04 * rng.standard_normal(N)
-    gone = rng.random(N) < 0.8
+    gone = rng.random(N) < 0.5
     gone[0] = False
     lost = lost[np.maximum.accumulate(np.where(gone, 0, np.arange(N)))]
     assert lost_samples(u[:, None], lost).sum() > 0.7 * gone.sum()
