@@ -21,8 +21,8 @@ LEAST = 1e-9  # of a weight, by which it is moved for a derivative where it is n
 
 
 def _mixed(U: Array, channel: int, weights: Array) -> Array:
-    """(N,) an input and the others, in their order, by their weights."""
-    return U[:, channel] + np.delete(U, channel, axis=1) @ weights
+    """(N,) an input and the others, in their order, by their weights; what a search sets beside them is none of them."""
+    return U[:, channel] + np.delete(U[:, : len(weights) + 1], channel, axis=1) @ weights
 
 
 def _fed(e: Effect) -> Effect:

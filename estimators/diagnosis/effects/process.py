@@ -6,7 +6,6 @@ process of any order may follow or, as a lag of the actuator, come before.
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import product
 from typing import Any
 
@@ -16,8 +15,8 @@ from scipy.optimize import brentq
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, level_before
 from estimators.diagnosis.effects.input import kept
-from estimators.diagnosis.effects.loops import ACROSS, PACES, slowest_rate
-from estimators.diagnosis.effects.profiled import BEGUN, ended, firm, lean, profile, quick_behind
+from estimators.diagnosis.effects.loops import PACES, slowest_rate
+from estimators.diagnosis.effects.profiled import BEGUN, ENDED, ended, firm, profiled_behind
 from estimators.residual.algebra import powers_of_two
 
 Array = NDArray[Any]
@@ -38,19 +37,13 @@ CONTENTS = (-0.6, 0.5, 1.5, 4.0, 10.0)
 """Relative changes over the record of what a capacity had at its start."""
 FILLS, MOST_FLOWS = 0.5, 3
 """Of all that flows, what must be net for something to be filled or emptied; inputs of a record that are tried with one another."""
-RATIOS, NEARING = (0.5, 0.7, 1.0, 1.4, 2.0), (0.0, 1.5)
-"""Of the rate down to the rate up, and lags in samples, that are tried."""
-SLOWEST = 0.1
-"""Of the record, the longest lag of an actuator that nears its command: of a slower one a limited rate is a saturated input before an
-integrator, which fits as well."""
-UNLOADED, LOADS, STALLED = 4, (-0.9, -0.5, 0.0, 0.5, 0.9), 1e-3
-"""Servos of one rate each way that a load is tried with; shares of their rates by which half the load's range changes them; and the
-share of a rate that the heaviest load leaves."""
 BUMPS = ((3.0, 0.0, 0.4), (3.0, -0.7, 0.4), (3.0, 0.7, 0.4), (2.0, -1.5, 2.0), (2.0, 1.5, 2.0))
 """Of a capacity that depends on the level: how much more it is at most, where, and how wide that is, in standard deviations of the input."""
 SLIPS, DRAGS = (0.1, 0.3, 0.8), (0.02, 0.3)
 """Of the input's standard deviation, the difference that what slips passes on at most; what takes from it, of how fast it nears its input."""
 THINNEST = -0.95  # of a capacity, what its level may take away
+WEAKENED = (0.05, 0.15, 0.3, 0.5, 0.8)
+"""Of the largest input's square, the power in its units, that is tried: at one, the largest input is limited at its own end alone."""
 LEAST = 1e-300  # a difference that no quotient by it leaves without a number
 LEAST_FLOW = 1e-3  # of the mean flow: what stands still takes for ever
 
@@ -68,6 +61,10 @@ def _orifice(p, v, u, q, s, c):
 
 def _exchange(p, v, u, q, s, c):
     return u - p - (1.0 - np.maximum(u, 0.0) * p)
+
+
+def _limited_power(p, v, u, q, s, c):
+    return u - u * np.minimum(1.0, np.abs(c[0]) / np.maximum(u * p, LEAST))  # brakes are not limited
 
 
 def _rest(force: Callable[..., Any], u: float, c: Array, start: float) -> float:
@@ -198,74 +195,6 @@ def _filled(U: Array, channel: int, p: Array, clock: Clock) -> Array:
     return filled(x, flow, np.array([abs(p[0]), *p[1:4], level_before(x), level_before(flow)]), clock.lead)
 
 
-def _servo(x: Array, p: Array, clock: Clock) -> Array:
-    from estimators.diagnosis.effects.kernels.recursion_kernels import servo_mean
-
-    up, down, lag = np.abs(p[:1]), np.abs(p[1:2]), abs(float(p[2]))
-    if lag > SLOWEST * clock.length:
-        return np.full(len(x), np.inf)
-    return servo_mean(np.ascontiguousarray(x), up, down, lag, level_before(x))
-
-
-@lru_cache(maxsize=MOST_FLOWS)  # of each input, for what is loaded too
-def _unloaded(channel: Any, base: Any, j: int) -> list[tuple[float, Array]]:
-    """The rates up and down and the lags of an actuator that an input may run into, the best first."""
-    from estimators.diagnosis.model.structure import Part
-
-    wide = float(np.ptp(channel.u[:, j]))
-    shapes = [[wide / m, q * wide / m, lag] for m in ACROSS for q in RATIOS for lag in NEARING]
-    return profile(channel, base, Part(SERVO, j), shapes)
-
-
-def _servos(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    from estimators.diagnosis.model.structure import Part
-
-    for j in base.structure.inputs if base.structure.layout == "tf" else ():
-        tried = _unloaded(channel, base, j)
-        if tried and firm(base, tried[0][0]):
-            su = float(np.std(channel.u[:, j]))
-            starts = (p for _, p in tried[:BEGUN])
-            yield from lean(channel, ended(channel, base, Part(SERVO, j), starts, [su, su, 1.0]))
-
-
-def _loaded(U: Array, channel: int, p: Array, clock: Clock) -> Array:
-    """An actuator at one input whose rates up and down change with another, the one p[-1] counted from 1, from its level p[-2] on."""
-    from estimators.diagnosis.effects.kernels.recursion_kernels import servo_mean
-
-    x, load = np.ascontiguousarray(U[:, channel]), U[:, int(p[-1]) - 1] - p[-2]
-    if abs(p[2]) > SLOWEST * clock.length:
-        return np.full(len(x), np.inf)
-    up, down = (
-        np.maximum(abs(rate) + slope * load, STALLED * abs(rate))
-        for rate, slope in ((p[0], p[3]), (p[1], p[4]))
-    )
-    return servo_mean(x, up, down, abs(float(p[2])), level_before(x))
-
-
-def _loads(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """The servos of every input that come nearest, loaded by every other input: it may help one way and hinder the other."""
-    from estimators.diagnosis.model.structure import Part
-
-    s = base.structure
-    if s.layout != "tf" or not 1 < len(s.inputs) <= MOST_FLOWS:
-        return
-    for j in s.inputs:
-        su = float(np.std(channel.u[:, j]))
-        near = [q[-3:] for _, q in _unloaded(channel, base, j)[:UNLOADED]]
-        for k in (k for k in s.inputs if k != j):
-            load, part = channel.u[:, k], Part(LOADED, j)
-            middle, half = 0.5 * float(load.max() + load.min()), 0.5 * float(np.ptp(load)) + LEAST
-            shapes = (
-                [*q, a * q[0] / half, b * q[1] / half, middle, k + 1.0]
-                for q in near
-                for a, b in product(LOADS, LOADS)
-            )
-            tried = profile(channel, base, part, shapes)
-            if tried and firm(base, tried[0][0]):
-                steps = [su, su, 1.0, su / half, su / half, 0.0, 0.0]
-                yield from lean(channel, ended(channel, base, part, (q for _, q in tried[:BEGUN]), steps))
-
-
 def _warmings(rates: list[float], u: Array) -> Iterator[list[float]]:
     power, n = float(np.mean(u**2)) + 1e-300, len(u)
     for rate, share, heat, m in product(rates, WARM, HEATS, SLOW):
@@ -282,8 +211,7 @@ def _profiled(
     channel: Any, base: Any, part: Any, shapes: Iterable[list[float]], sizes: list[float]
 ) -> Iterator[Any]:
     """Fits from a grid of shapes with a quick linear part behind, whose poles no score of the linear model's tells."""
-    bare = quick_behind(channel, base)
-    tried = profile(channel, bare, part, shapes)
+    bare, tried = profiled_behind(channel, base, part, shapes)
     if tried and tried[0][0] < NEARBY * float(np.sum(base.residual**2)):
         fits = ended(channel, bare, part, (q for _, q in tried[:BEGUN]), sizes)
         yield from (f for f in fits if firm(base, float(np.sum(f.residual**2))))
@@ -302,6 +230,24 @@ def _warm(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         yield from _profiled(channel, base, part, _warmings(rates, u), sizes)
 
 
+def _powers(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """Every input, before the linear model's poles and before a quick linear part: its slowest may be quicker than what is driven."""
+    from estimators.diagnosis.model.structure import Part
+    from estimators.diagnosis.search.starts import fitted, scored, sizes_of
+
+    s = base.structure
+    for j in s.inputs if s.layout == "tf" and s.order else ():
+        part = Part(POWERED, j)
+        yield from fitted(channel, base, scored(channel, base, part, ENDED).starts, 30)
+        shapes, sizes = _weakened(sizes_of(channel, base, part))
+        quicker = ([pace * rate, power] for pace, (rate, power) in product(PACES, shapes))
+        yield from _profiled(channel, base, part, (q for q in quicker if q[0] < FASTEST), sizes)
+
+
+def _weakened(s: Sizes) -> Grid:
+    return _shapes(s, *([share] for share in WEAKENED), sizes=[float(np.max(np.abs(s.u))) ** 2])
+
+
 def _capacities(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     """Every input with every flow that fills more than it takes back."""
     from estimators.diagnosis.model.structure import Part
@@ -318,24 +264,11 @@ def _capacities(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[An
             yield from _profiled(channel, base, Part(FILLED, j), _fillings(slowest, u, flow, i), sizes)
 
 
-SERVO = Effect(
-    key="rate_limit_servo", cause="rate_limiter", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=20, reversing=True, family="rates",
-    sentence="the actuator nears its command with a lag, and moves no faster than one rate up and another down",
-    parameters={"up": "u/sample", "down": "u/sample", "lag": "sample"}, apply=_servo, search=_servos,
-)  # fmt: skip
-
 FILLED = Effect(
     key="capacity_filled", cause="filling_capacity", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=100, alone=True,
     sentence="a flow fills what the input acts on, or empties it: the time constant follows the flow's integral since the record began",
     parameters={"rate": "1/sample", "fill": "1/(u sample)", "bring": "u", "carry": "1", "flow": "1"},
     apply=lambda x, p, clock: _filled(x[:, None], 0, np.array([*p[:4], 1.0]), clock), signal=_filled, search=_capacities,
-)  # fmt: skip
-LOADED = Effect(
-    key="rate_loaded", cause="rate_limiter", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=60, reversing=True, family="rates",
-    sentence="the actuator moves no faster than one rate up and another down, and a load, another input, changes both",
-    parameters={"up": "u/sample", "down": "u/sample", "lag": "sample", "up_by_load": "1/sample", "down_by_load": "1/sample",
-                "level": "u", "load": "1"},
-    apply=lambda x, p, clock: _loaded(np.column_stack((x, x)), 0, np.array([*p[:6], 2.0]), clock), signal=_loaded, search=_loads,
 )  # fmt: skip
 WARMED = Effect(
     key="loss_heat", cause="slow_hidden_state", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=60, alone=True, family="heat",
@@ -348,6 +281,11 @@ THROUGH = _process(
     {"volume": "u sample"}, lambda s: (
         [[r / s.level, v * s.level] for r in s.rates for v in (0.0, 3.0, 10.0)], [max(s.rates) / s.level, s.level]),
     apply=_through_flow,
+)  # fmt: skip
+
+POWERED = _process(
+    "power_limited", "state_saturation", "its power is limited: what drives it is the weaker the faster it is, a vehicle, a winch",
+    _limited_power, {"power": "u^2"}, _weakened, search=_powers,
 )  # fmt: skip
 
 PROCESS = (
@@ -377,9 +315,8 @@ PROCESS = (
     _process("slipping", "slip", "what drives it slips: beyond a limit a belt, a clutch, a tyre passes on no more",
              lambda p, v, u, q, s, c: u - p - np.maximum(np.abs(c[0]), LEAST) * np.tanh((u - p) / np.maximum(np.abs(c[0]), LEAST)) + c[1] * p,
              {"limit": "u", "loss": "1"}, lambda s: _shapes(s, *map(list, product(SLIPS, DRAGS)), sizes=[s.su, 1.0])),
+    POWERED,
     THROUGH,
-    SERVO,
     FILLED,
-    LOADED,
     WARMED,
 )  # fmt: skip

@@ -45,6 +45,12 @@ def _stairs(x: Any, p: Array, clock: Clock) -> Any:
     return p[1] + step * np.floor((x - p[1]) / step + 0.5)
 
 
+def _unbitten(x: Any, p: Array, clock: Clock) -> Any:
+    """A signal without a bit of its code: of the weight p[0], and zero at the level p[1]."""
+    weight = abs(p[0]) + 1e-300
+    return x - weight * (np.floor((x - p[1]) / weight) % 2.0)
+
+
 def swaying(x: Any, p: Array, clock: Clock) -> Any:
     """A signal times a gain that changes periodically: its frequency, then the cosine's and sine's size of each harmonic."""
     if not LEAST_TURNS <= abs(p[0]) * clock.length / (2.0 * np.pi) <= 0.5 * clock.length:
@@ -115,13 +121,23 @@ def of_order(f: Any, order: int, taps: int) -> tuple[Any, Array, Array]:
     return few, p, scales
 
 
-def quick_behind(channel: Any, base: Any) -> Any:
-    """The fit with a quick linear part of gains alone, for shapes that replace the dynamics: their poles are not the linear model's."""
-    few, p, scales = of_order(base, 1, 2)
-    gains = [np.std(channel.y) / (np.std(channel.u[:, j]) + 1e-300) for j in base.structure.inputs]
-    p[0], p[1 : few.plant_size] = -QUICK, 0.0
-    scales[0], scales[1 : few.plant_size] = 1.0, np.repeat(gains, 2)
-    return replace(base, structure=few, p=p, scales=scales)
+def quick_behind(channel: Any, base: Any) -> list[Any]:
+    """The fit with a quick linear part of gains alone, for shapes that replace the dynamics, whose poles are not the linear model's; without
+    a delay, as what a limit holds back looks late to a linear model, and with the linear model's."""
+    s, p, scales = of_order(base, 1, 2)
+    gains = [np.std(channel.y) / (np.std(channel.u[:, j]) + 1e-300) for j in s.inputs]
+    p[0], p[1 : s.plant_size] = -QUICK, 0.0
+    scales[0], scales[1 : s.plant_size] = 1.0, np.repeat(gains, 2)
+    return [replace(base, structure=replace(s, delay=d), p=p, scales=scales) for d in sorted({0, s.delay})]
+
+
+def profiled_behind(
+    channel: Any, base: Any, part: Any, shapes: Iterable[Any]
+) -> tuple[Any, list[tuple[float, Array]]]:
+    """The quick linear part behind which a shape leaves least, and the profile with it."""
+    shapes = list(shapes)
+    found = [(quick, profile(channel, quick, part, shapes)) for quick in quick_behind(channel, base)]
+    return min(found, key=lambda entry: entry[1][0][0] if entry[1] else np.inf)
 
 
 def lean(channel: Any, fits: Iterable[Any]) -> Iterator[Any]:
@@ -275,36 +291,44 @@ def _running_up(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[An
         yield from ended(channel, base, part, starts, [1.0 / n, 1.0 / n**2, su, su, 1.0])
 
 
-def _edges(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """A staircase is its input less a sawtooth, whose first harmonic over the input's levels tells step and level: the step of
-    most in common with the residual is taken, then both are moved as long as the error falls, as they have no derivative."""
-    from estimators.diagnosis.model.structure import Part
+def _edged(effect: Callable[[], Effect], each: float, ahead: float) -> Callable[..., Iterator[Any]]:
+    """What differs from its input by a wave over the input's levels, of which a step is `each` period, and which begins at a level so
+    many periods `ahead` of where its first harmonic does: the period of most in common with the residual is taken, then step and
+    level are moved as long as the error falls, as they have no derivative."""
 
-    for j, u in entering(channel, base):
-        part, (r, Q) = Part(STAIRS, j), left_over(channel, base)
-        wide = float(np.ptp(u))
-        if wide <= 0.0:
-            continue
-        waves = np.arange(1.0, FINEST, 0.25) / wide
-        turn = 2.0 * np.pi * np.outer(u, waves)
-        D = through(base, j, np.concatenate((np.sin(turn), np.cos(turn)), axis=1))
-        gains, (first, second) = in_common(D - Q @ (Q.T @ D), r)
-        found: list[tuple[float, Any]] = []
-        for at in _highest(gains / waves**COARSE, 3):
-            step, size = 1.0 / float(waves[at]), float(np.hypot(first[at], second[at]))
-            promise = -base.n * float(np.log(max(1.0 - gains[at] / max(float(r @ r), 1e-300), 1e-12)))
-            if promise < FIRM or not HARMONIC[0] < size * np.pi / step < HARMONIC[1]:
+    def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+        from estimators.diagnosis.model.structure import Part
+
+        for j, u in entering(channel, base):
+            part, (r, Q) = Part(effect(), j), left_over(channel, base)
+            wide = float(np.ptp(u))
+            if wide <= 0.0:
                 continue
-            level = step / (2.0 * np.pi) * float(np.arctan2(second[at], -first[at]))
-            # near the mean, where it hangs on the step least
-            level += step * round((float(np.mean(u)) - level) / step)
-            found += _moved(channel, base, part, (step, level))
-            if any(not len(f.noise) for _, f in found):
-                break  # nothing is left that another could explain
-        yield from (f for _, f in sorted(found, key=lambda entry: entry[0])[:1])
+            waves = np.arange(1.0, FINEST, 0.25) / wide
+            turn = 2.0 * np.pi * np.outer(u, waves)
+            D = through(base, j, np.concatenate((np.sin(turn), np.cos(turn)), axis=1))
+            gains, (first, second) = in_common(D - Q @ (Q.T @ D), r)
+            found: list[tuple[float, Any]] = []
+            for at in _highest(gains / waves**COARSE, 3):
+                period, size = 1.0 / float(waves[at]), float(np.hypot(first[at], second[at]))
+                promise = -base.n * float(np.log(max(1.0 - gains[at] / max(float(r @ r), 1e-300), 1e-12)))
+                if promise < FIRM or not HARMONIC[0] < size * np.pi / period < HARMONIC[1]:
+                    continue
+                phase = float(np.arctan2(second[at], first[at])) / (2.0 * np.pi)
+                level = period * (ahead - phase)
+                # near the mean, where it hangs on the step least
+                level += period * round((float(np.mean(u)) - level) / period)
+                found += _moved(channel, base, part, (each * period, level), each)
+                if any(not len(f.noise) for _, f in found):
+                    break  # nothing is left that another could explain
+            yield from (f for _, f in sorted(found, key=lambda entry: entry[0])[:1])
+
+    return search
 
 
-def _moved(channel: Any, base: Any, part: Any, shape: tuple[float, float]) -> Iterator[tuple[float, Any]]:
+def _moved(
+    channel: Any, base: Any, part: Any, shape: tuple[float, float], each: float
+) -> Iterator[tuple[float, Any]]:
     """The step and level of least error near a first guess, and the poles that they ask for, in turn; last with whole steps
     from zero. With each fit its deviance, less what whole steps are ahead by: they have no level of their own."""
     from estimators.diagnosis.search.starts import renewed
@@ -314,7 +338,9 @@ def _moved(channel: Any, base: Any, part: Any, shape: tuple[float, float]) -> It
         best = profile(channel, base, part, [shape], f.p)[:1]
         if whole:
             steps = shape[0] * np.linspace(*WHOLE)
-            tried = profile(channel, base, part, ([d, d * np.round(shape[1] / d)] for d in steps), f.p)
+            tried = profile(
+                channel, base, part, ([d, d / each * np.round(shape[1] * each / d)] for d in steps), f.p
+            )
             equal = sorted((p[-2], p) for e, p in tried if e < (1.0 + 1e-9) * tried[0][0])
             best = [(tried[0][0], equal[len(equal) // 2][1])] if equal else []
         if best and not whole:
@@ -330,7 +356,13 @@ def _moved(channel: Any, base: Any, part: Any, shape: tuple[float, float]) -> It
 
 STAIRS = Effect(
     key="input_staircase", cause="input_quantisation", nature=Nature.INPUT_STATIC, slot=Slot.INPUT, trials=300,
-    sentence="the input acts in whole steps: a staircase", parameters={"step": "u", "level": "u"}, apply=_stairs, search=_edges,
+    sentence="the input acts in whole steps: a staircase", parameters={"step": "u", "level": "u"}, apply=_stairs,
+    search=_edged(lambda: STAIRS, 1.0, 0.5),
+)  # fmt: skip
+STUCK = Effect(
+    key="input_bit", cause="input_quantisation", nature=Nature.INPUT_STATIC, slot=Slot.INPUT, trials=300,
+    sentence="a bit of the input's converter is stuck: every other step of its weight is missing, or twice as high", parameters={"weight_of_bit": "u", "level": "u"},
+    apply=_unbitten, search=_edged(lambda: STUCK, 0.5, 0.0),
 )  # fmt: skip
 
 WAVE = {"cosine": "1", "sine": "1"}
@@ -347,4 +379,4 @@ SWEEP_INPUT = Effect(
     parameters={"frequency": "rad/sample", "rate": "rad/sample^2", "cosine": "u", "sine": "u", "growth": "1"},
 )  # fmt: skip
 
-PROFILED = (STAIRS, SWAY, SWEEP_INPUT)
+PROFILED = (STAIRS, STUCK, SWAY, SWEEP_INPUT)

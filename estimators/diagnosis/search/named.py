@@ -245,6 +245,7 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
             dropped += [(c.key, _why(c, bench)) for c in claims if c not in held]
             shown = [replace(c, part=as_shown(c.part, f, bench.channel)) for c in held]
             held = bending(bench, f, shown, unused, a.alternatives)
+            held.sort(key=lambda c: c.part.effect.key == "order")  # dynamics without a name come last
             dynamics = [c.part.effect.nature is Nature.LINEAR for c in claims]
             bare = [rest for (rest, _), plain in zip(rests, dynamics, strict=True) if not plain]
             other, told = _as_linear(bench, a, f) if len(held) == 1 and bent(held[0]) else (None, False)

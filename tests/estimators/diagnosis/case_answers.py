@@ -79,6 +79,8 @@ NAMED = {
     "step": ("tf", [("step_input", [0.5, 40.3])], {"clock": (-30.0, 0.5, 300)}),
     "loads": ("tf", [("steps_input", [0.5, 40.3, -0.3, 70.6], {"size": 2})], {"clock": (-30.0, 0.5, 300)}),
     "zeros": ("tf", [("steps_output", [0.5, 40.3, -0.3, 70.6], {"size": 2})], {"clock": (-30.0, 0.5, 300)}),
+    "bit": ("tf", [("input_bit", [0.4, 0.1])], {}), "coil": ("tf", [("gain_worn", [0.02, -1.0])], {"rest": False}),
+    "power": ("tf", [("power_limited", [0.3, 0.5])], {"rest": False}),
     "belt": ("tf", [("slipping", [0.4, 0.3, 0.1])], {"rest": False}),
     "process": ("tf", [("orifices", [0.3, 1.5, 0.05])], {}),
     "vessel": ("tf", [("vessel", [0.3, 1.0, 0.4])], {"rest": False}),

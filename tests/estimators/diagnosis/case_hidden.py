@@ -8,6 +8,7 @@ from scipy.signal import lfilter
 from tests.estimators.diagnosis.case_classes import CLASSES, LOOKALIKES
 from tests.estimators.diagnosis.case_drives import DRIVES
 from tests.estimators.diagnosis.case_parts import FINE, lag, linear, read, sensor, swing
+from tests.estimators.diagnosis.case_passages import PASSAGES
 
 __all__ = ["ALL_CLASSES", "ALL_LOOKALIKES"]
 
@@ -323,7 +324,7 @@ def slid(u, a):
     return linear(out)
 
 
-ALL_CLASSES = CLASSES | DRIVES | {
+ALL_CLASSES = CLASSES | DRIVES | PASSAGES | {
     # effect: maker, order of the linear model, form of the input
     "rate_in_loop": (slow_valve, 3, {"hold": 20, "size": 0.5}), "rate_of_loop": (slow_valve_seen, 3, {"hold": 20, "size": 0.5}),
     "gain_of_angle": (rollers, 2, {"mean": 3.0, "size": 0.5}), "gain_fatigue": (tired, 2, {"mean": 2.0}),
@@ -355,6 +356,10 @@ ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     ("flow_down", "output_cutoff"), ("stiction", "flow_up"), ("rate_limit_servo", "flow_up"), ("rate_of_loop", "flow_up"),
     ("stiction", "stiction_sliding"), ("stiction_sliding", "plays"), ("clearance", "stiction_sliding"),
     ("recycle", "rate_in_loop"), ("recycle", "interleaved"), ("rate_in_loop", "recycle"), ("relay_feedback", "recycle"), ("delay_periodic", "recycle"), ("recycle", "lag_drift"),
+    ("exposure", "through_flow"), ("exposure", "input_power"), ("exposure", "orifices"), ("through_flow", "exposure"), ("input_power", "exposure"),
+    ("exposure_carried", "conveyed"), ("exposure_carried", "exposure_walled"), ("exposure_walled", "exposure_carried"), ("exposure_walled", "bilinear"), ("conveyed", "exposure_carried"), ("bilinear", "exposure_walled"),
+    ("input_bit", "input_staircase"), ("input_staircase", "input_bit"), ("input_bit", "input_sine"), ("power_limited", "slipping"), ("slipping", "power_limited"), ("power_limited", "loss_cubic"), ("power_limited", "store_full"),
+    ("gain_worn of a coil", "gain_settles"), ("gain_worn of a coil", "gain_decay"), ("gain_settles", "gain_worn of a coil"),
     ("waveform", "gain_periodic"), ("gain_periodic", "waveform"), ("waveform", "multiplexed of lags"), ("pulse_input", "waveform"), ("steps_input", "waveform"), ("steps_output", "waveform"),
     ("coulomb_grip", "plays"), ("coulomb_grip", "hysteresis_rate"), ("coulomb_grip", "stiffness_cubic"), ("hysteresis_rate", "coulomb_grip"),
     ("three_point", "rate_in_loop"), ("three_point", "geared_servo"), ("rate_limit_servo", "three_point"), ("stiction", "three_point"),

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline import Options, best_linear
 from estimators.diagnosis.effects import Nature, named
-from estimators.diagnosis.effects.disturbances.added import run_up
+from estimators.diagnosis.effects.disturbances.added import begun_beside, run_up
 from estimators.diagnosis.effects.effect import Clock
 from estimators.diagnosis.ladder.claims import Claim
 from estimators.diagnosis.loop import diagnose
@@ -136,6 +136,18 @@ def test_two_measurements_of_one_thing_are_no_closed_loop(rng) -> None:
     assert d.effect in ("none", "coloured_noise")
     assert "closed_loop" not in d.ranked
     assert "in two measurements of one thing" in str(d).splitlines()[0]
+
+
+def test_what_several_inputs_feed_is_simulated_with_a_signal_set_beside_them(rng) -> None:
+    """The search for a second stage set one beside three inputs that a process had mixed: a record of soil moisture ended in an error."""
+    u = rng.uniform(1.0, 3.0, (N, 3))
+    s = Structure(1, inputs=(0, 1, 2)).adding(Part(named("outflow_root_fed"), 0, 2))
+    p = np.concatenate(([-0.5, 0.3, 0.2, 0.1], [0.2, 1.0, 0.6, 0.3]))
+    y = simulate(s, p, u, CLOCK)
+    channel = Channel(u, y + 0.01 * rng.standard_normal(N), CLOCK, np.ones(N, dtype=bool))
+    beside = begun_beside(channel, fit(channel, s, p, np.abs(p)), np.sin(0.1 * CLOCK.k))[1]
+    assert np.array_equal(simulate(s, p, np.column_stack((u, y)), CLOCK), y)
+    assert np.all(np.isfinite(list(beside.values())))
 
 
 def test_a_sweep_from_standstill_divides_by_no_frequency() -> None:

@@ -1,6 +1,7 @@
 """Hidden loops between the input and the linear part, and what remembers there."""
 
 from estimators.diagnosis.effects.loops.carried import CARRIED_BY
+from estimators.diagnosis.effects.loops.exposure import EXPOSURES
 from estimators.diagnosis.effects.loops.flows import FLOWS
 from estimators.diagnosis.effects.loops.geared import GEARED
 from estimators.diagnosis.effects.loops.limited import (
@@ -23,6 +24,7 @@ from estimators.diagnosis.effects.loops.remembering import (
     play_widths,
 )
 from estimators.diagnosis.effects.loops.scanned import SCANNED
+from estimators.diagnosis.effects.loops.servos import SERVOS
 from estimators.diagnosis.effects.loops.stores import STORES
 from estimators.diagnosis.effects.loops.three_point import THREE_POINT
 
@@ -41,7 +43,9 @@ LOOPS = (
     SIDE_BY_SIDE,
     PLAYED,
     RECYCLE,
+    *EXPOSURES,
     THREE_POINT,
+    *SERVOS,
     *GEARED,
     *STORES,
     *FLOWS,

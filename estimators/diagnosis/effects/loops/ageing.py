@@ -19,9 +19,10 @@ LAGS = ((0.03, 0.3), (0.1, 1.0), (0.7, -0.6))
 """Lags at the start of a record and by how much they grow, over the slowest time constant, that are tried."""
 CHANGES = (-0.25, 0.3, 0.8)  # relative changes of a coefficient over the record that are tried
 USES = (0.3, 1.0, 3.0)  # share of a gain that the mean input uses up, of what is left of it, that are tried
-WEARS, MOST_WORN = (1.0, 5.0, 25.0), 4.0
-"""What all that passes in a record adds to a resistance of 1, that is tried; the largest power of it that a gain falls with: a cake
-under a given pressure has a half, a given flow through it 1, more is nearly exponential."""
+WEARS, WORN_BY, MOST_WOUND, MOST_WORN = (1.0, 5.0, 25.0), (-1.0, 0.5, 1.0), 2.0, 4.0
+"""What all that passes in a record adds to a resistance, a radius of 1, that is tried; the powers of it that a gain falls with, that are
+tried, and the largest that it grows and falls with: what is wound grows with it itself or its root, a cake under a given pressure has
+a half, a given flow through it 1, more is nearly exponential."""
 EXCESSES, AGEING = (-0.5, 0.6, 2.0), (0.05, 0.15, 0.4)
 """What a gain that settles has more of itself at the record's start than at the end, and its time constants in records, that are tried."""
 MEMORIES = (0.05, 0.2)  # of the record: time constants of a slow state that are tried
@@ -52,7 +53,12 @@ def _worn(x: Array, p: Array, clock: Clock) -> Array:
     """What has passed, in the middle of each sample, counted from the record on: an experiment begins with what is clean."""
     through = np.where(np.arange(len(x)) < clock.lead, 0.0, np.abs(x))
     passed = np.cumsum(through) - 0.5 * through
-    return x * (1.0 + abs(float(p[0])) * passed) ** -float(np.clip(p[1], 0.0, MOST_WORN))
+    return x * (1.0 + abs(float(p[0])) * passed) ** worn_by(p)
+
+
+def worn_by(p: Array) -> float:
+    """Power of what has added up that a gain goes with: negative where it falls."""
+    return -float(np.clip(p[1], -MOST_WOUND, MOST_WORN))
 
 
 def _settling(x: Array, p: Array, clock: Clock) -> Array:
@@ -61,7 +67,7 @@ def _settling(x: Array, p: Array, clock: Clock) -> Array:
 
 def _with_wear(s: Sizes) -> Grid:
     total = float(np.sum(np.abs(s.u))) + 1e-300
-    return [[f / total, power] for f in WEARS for power in (0.5, 1.0)], [1.0 / total, 0.5]
+    return [[f / total, power] for f in WEARS for power in WORN_BY], [1.0 / total, 0.5]
 
 
 def _warmed(x: Array, p: Array, clock: Clock) -> Array:
@@ -121,7 +127,7 @@ SETTLES = Effect(
 )  # fmt: skip
 WORN = Effect(
     key="gain_worn", cause="slow_hidden_state", family="heat", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=10, apply=_worn,
-    sentence="the gain falls with all that has passed since the record began: a filter that clogs, a catalyst, a tool",
+    sentence="the gain falls, or grows, with all that has passed since the record began: a filter that clogs, a tool, a coil that is wound",
     starts=_with_wear, parameters={"wear": "1/(u sample)", "power": "1"},
 )  # fmt: skip
 AGED = (

@@ -5,7 +5,6 @@ short filter behind them.
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from functools import partial
 from itertools import combinations, product
 from typing import Any
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Effect, Nature, Slot, level_before
 from estimators.diagnosis.effects.input import kept
-from estimators.diagnosis.effects.profiled import BEGUN, CROSSED, ended, firm, profile, quick_behind
+from estimators.diagnosis.effects.profiled import BEGUN, CROSSED, ended, firm, profile, profiled_behind
 
 Array = NDArray[Any]
 PACES = (0.5, 1.0, 2.0, 4.0)
@@ -173,14 +172,9 @@ def shaped(
             return
         slowest = slowest_rate(denominator(base), len(channel))
         u = np.ascontiguousarray(channel.u[:, s.inputs[0]])
-        quick, part = quick_behind(channel, base), Part(effect(), s.inputs[0])
-        found = []
-        for delay in {0, s.delay}:  # what a limit holds back looks late to a linear model
-            bare = replace(quick, structure=replace(quick.structure, delay=delay))
-            tried = profile(channel, bare, part, shapes(slowest, u))
-            found += [(tried[0][0], delay, bare, tried)] if tried else []
-        left, _, bare, tried = min(found, key=lambda entry: entry[:2], default=(np.inf, 0, quick, []))
-        if left > near * float(np.sum(base.residual**2)):
+        part = Part(effect(), s.inputs[0])
+        bare, tried = profiled_behind(channel, base, part, shapes(slowest, u))
+        if not tried or tried[0][0] > near * float(np.sum(base.residual**2)):
             return
         starts = [q for _, q in tried[:BEGUN]]
         if near > 1.0:

@@ -85,7 +85,7 @@ def _recycling(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any
     slow, left = float(times[0]), left_over(channel, few)
     for j in s.inputs:
         part = Part(RECYCLE, j)
-        lags = {(slow, BRIEF), (slow, float(times[-1])), (0.5 * slow, BRIEF)}
+        lags = {(slow, BRIEF), (slow, float(times[-1])), (0.5 * slow, BRIEF), (BRIEF, BRIEF)}
         found = [echo for pair in sorted(lags) for echo in _echoes(channel, few, j, np.array(pair), left)]
         shapes = ([share, *echo] for echo in found for share in SHARES)
         starts = [p for _, p in profile(channel, few, part, shapes)[:BEGUN]]

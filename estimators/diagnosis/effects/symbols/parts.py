@@ -11,7 +11,7 @@ from estimators.diagnosis.effects.effect import Clock, Effect
 from estimators.diagnosis.effects.input import aside
 from estimators.diagnosis.effects.kernels.recursion_kernels import LEAST_PACE, WITHIN, warm_rest
 from estimators.diagnosis.effects.loops import play_widths
-from estimators.diagnosis.effects.loops.ageing import MOST_WORN
+from estimators.diagnosis.effects.loops.ageing import worn_by
 from estimators.diagnosis.effects.path import curve_of_charge
 from estimators.diagnosis.effects.process import Passing
 from estimators.diagnosis.effects.sensing.gains import law_of
@@ -83,7 +83,7 @@ def _worn(w: Wiring, x: Any, p: Array) -> Any:
     passed = w.state()
     through = w.ca.if_else(w.k > -0.5, w.ca.fabs(x), 0.0)
     passed.after = passed.x + through
-    return x * (1.0 + abs(float(p[0])) * (passed.x + 0.5 * through)) ** -float(np.clip(p[1], 0.0, MOST_WORN))
+    return x * (1.0 + abs(float(p[0])) * (passed.x + 0.5 * through)) ** worn_by(p)
 
 
 def _warmed(w: Wiring, x: Any, p: Array) -> Any:

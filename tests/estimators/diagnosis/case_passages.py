@@ -1,0 +1,70 @@
+"""Rigs whose input is a flow that is changed on its way, and others whose input is weakened, wound up or coded: as in `case_classes`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tests.estimators.diagnosis.case_parts import linear, process, sensor
+
+__all__ = ["PASSAGES"]
+
+REST = 60  # samples before a record, more than twice what a passage takes
+PARCELS = 10  # that leave in a sample
+TUBE = 14.0  # samples of flow that fill it
+
+
+def _followed(flow, entering, wall):
+    """Each parcel that leaves a tube, some a sample, followed back until it entered: heat from the wall by the power .6 of the flow."""
+    before = lambda x: np.repeat(np.concatenate((np.full(REST, x[0]), x)), PARCELS)
+    flow, entering, wall = before(flow) / PARCELS, before(entering), before(wall)
+    out = np.zeros(len(flow))
+    for k in range(REST * PARCELS // 2, len(flow)):
+        ahead, i, keeps = TUBE, k, 1.0
+        while ahead > 0.0:
+            share = min(1.0, ahead / flow[i])
+            stays = np.exp(-0.3 * share * (PARCELS * flow[i]) ** 0.6 / PARCELS)
+            out[k] += keeps * (1.0 - stays) * wall[i]
+            keeps, ahead, i = keeps * stays, ahead - flow[i], i - 1
+        out[k] += keeps * entering[i + 1]
+    out[1:] = 0.5 * (out[1:] + out[:-1])  # from one parcel to the next
+    return sensor(out, out[-1], 0.6 ** (1.0 / PARCELS))[REST * PARCELS :: PARCELS]
+
+
+def heated_tube(u, a):
+    """A tube of a hot wall, whose flow is the input."""
+    return _followed(u, 0.0 * u, 0.0 * u + 4.0) if a else linear(u)
+
+
+def hot_stream(u, a):
+    """What enters the tube changes, and is cooled by its wall."""
+    return _followed(u[:, 0], 2.0 * u[:, 1], 0.0 * u[:, 0] + 1.0) if a else linear(u.sum(axis=1))
+
+
+def steam(u, a):
+    """The wall of the tube changes, as the pressure of its steam."""
+    return _followed(u[:, 0], 0.0 * u[:, 0], 2.0 * u[:, 1]) if a else linear(u.sum(axis=1))
+
+
+def tram(u, a):
+    """A vehicle whose motor gives no more than a power; what stands still has all its force."""
+    pull = lambda x, v: v * min(1.0, 0.45 / max(v * x, 1e-9)) if a else v
+    return linear(process(lambda x, v: 0.06 * (pull(x, v) - x), u, 0.0))
+
+
+def coil(u, a):
+    """A spool that grows with every turn that it winds."""
+    through = np.cumsum(u) - 0.5 * u
+    return linear(u * (1.0 + 1.5 * a * through / np.sum(u)))
+
+
+def coded(u, a):
+    """A converter of which the bit of weight .45 is always zero."""
+    return linear(u - 0.45 * a * (np.floor((u - 0.2) / 0.45) % 2))
+
+
+_FLOW = {"mean": 4.0, "size": 1.2}
+PASSAGES = {
+    # effect: maker, order of the linear model, form of the input
+    "exposure": (heated_tube, 2, _FLOW), "exposure_carried": (hot_stream, 2, _FLOW | {"inputs": 2}), "exposure_walled": (steam, 2, _FLOW | {"inputs": 2}),
+    "power_limited": (tram, 3, {"hold": 25}), "gain_worn of a coil": (coil, 2, {"mean": 4.0}), "input_bit": (coded, 2, {}),
+}  # fmt: skip
