@@ -13,7 +13,6 @@ from estimators.diagnosis.effects.profiled import (
     BEGUN,
     ended,
     firm,
-    lean,
     profile,
     profiled_behind,
     quick_behind,
@@ -115,7 +114,7 @@ def _fits(
         if f.p[f.structure.slices()[-1]][0] > SHORTEST * sizes[0] and firm(
             base, float(np.sum(f.residual**2))
         ):
-            yield from lean(channel, [f])
+            yield f
 
 
 def _passages(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
