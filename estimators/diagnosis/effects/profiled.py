@@ -45,7 +45,7 @@ def _stairs(x: Any, p: Array, clock: Clock) -> Any:
     return p[1] + step * np.floor((x - p[1]) / step + 0.5)
 
 
-def _unbitten(x: Any, p: Array, clock: Clock) -> Any:
+def _bit_stuck(x: Any, p: Array, clock: Clock) -> Any:
     """A signal without a bit of its code: of the weight p[0], and zero at the level p[1]."""
     weight = abs(p[0]) + 1e-300
     return x - weight * (np.floor((x - p[1]) / weight) % 2.0)
@@ -362,7 +362,7 @@ STAIRS = Effect(
 STUCK = Effect(
     key="input_bit", cause="input_quantisation", nature=Nature.INPUT_STATIC, slot=Slot.INPUT, trials=300,
     sentence="a bit of the input's converter is stuck: every other step of its weight is missing, or twice as high", parameters={"weight_of_bit": "u", "level": "u"},
-    apply=_unbitten, search=_edged(lambda: STUCK, 0.5, 0.0),
+    apply=_bit_stuck, search=_edged(lambda: STUCK, 0.5, 0.0),
 )  # fmt: skip
 
 WAVE = {"cosine": "1", "sine": "1"}
