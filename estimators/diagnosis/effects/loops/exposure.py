@@ -1,7 +1,8 @@
 """A flow that changes on its way through a volume: heated by its walls, converted, exposed to light, for as long as it passes."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -14,7 +15,6 @@ from estimators.diagnosis.effects.profiled import (
     ended,
     firm,
     profile,
-    profiled_behind,
     quick_behind,
 )
 
@@ -28,6 +28,8 @@ the faster: none where it takes its time, .8 where turbulence carries heat from 
 SHORTEST, GENTLEST, STEEPEST = 0.7, -1.0, 0.98
 """Samples that a passage takes at least at the mean flow: one within a sample is a curve of the input; and the powers between which
 what leaves depends on the flow as on a time: at one it does not."""
+NEARBY = 6.0
+"""Times the linear model's squares, which may have poles that imitate a passage, within which the best of these is worth a fit."""
 BACKWARDS = 0.02  # of an input's samples, as many may be no flow
 MOST_FLOWS = 3  # inputs of a record that are tried with one another
 PARTS = 4  # of a sample: what leaves has a kink wherever a step of the flow entered
@@ -98,22 +100,34 @@ def _walled(U: Array, channel: int, p: Array, clock: Clock) -> Array:
     return way.mean(near - began * np.exp(-way.change))
 
 
-def _flows(channel: Any, base: Any) -> Iterator[tuple[int, float, list[list[float]]]]:
-    """Every input that is a flow, its mean, and the ways through a volume that are tried with it."""
+def _flows(channel: Any, base: Any) -> Iterator[tuple[int, float]]:
+    """Every input that is a flow, and its mean."""
     for j in base.structure.inputs if base.structure.layout == "tf" else ():
         u = channel.u[:, j]
         if (mean := float(np.mean(u))) > 0.0 and np.mean(u <= 0.0) <= BACKWARDS:
-            times = PASSAGES ** np.arange(np.log(LONGEST * len(u)) / np.log(PASSAGES))
-            yield j, mean, [[t * mean, c * t ** (m - 1.0), m] for t, c, m in product(times, CHANGED, POWERS)]
+            yield j, mean
+
+
+def _looked(channel: Any, mean: float, left: Callable[[list[list[float]]], list[Any]], at: int) -> list[Any]:
+    """What the best ways through a volume `left`, and with which parameters, the volume `at` a place of them: all times of passage with
+    one power are tried, then the best time with the others."""
+    times = PASSAGES ** np.arange(np.log(LONGEST * len(channel)) / np.log(PASSAGES))
+    ways = [[t * mean, c * t ** (m - 1.0), m] for t, c, m in product(times, CHANGED, POWERS)]
+    found = sorted(left([way for way in ways if way[2] == POWERS[1]]), key=lambda entry: entry[0])
+    if found:
+        best = [way for way in ways if way[0] == found[0][1][at] and way[2] != POWERS[1]]
+        found = sorted([*found, *left(best)], key=lambda entry: entry[0])
+    return found[:BEGUN]
 
 
 def _fits(
-    channel: Any, base: Any, bare: Any, part: Any, starts: Iterable[Array], sizes: list[float]
+    channel: Any, base: Any, bare: Any, part: Any, tried: list[tuple[float, Array]], sizes: list[float]
 ) -> Iterator[Any]:
-    for f in ended(channel, bare, part, starts, sizes):
-        if f.p[f.structure.slices()[-1]][0] > SHORTEST * sizes[0] and firm(
-            base, float(np.sum(f.residual**2))
-        ):
+    if not tried or tried[0][0] > NEARBY * float(np.sum(base.residual**2)):
+        return
+    for f in ended(channel, bare, part, (p for _, p in tried), sizes):
+        volume = f.p[f.structure.slices()[-1]][0]
+        if volume > SHORTEST * sizes[0] and firm(base, float(np.sum(f.residual**2))):
             yield f
 
 
@@ -121,10 +135,18 @@ def _passages(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]
     """Every flow, with a quick linear part behind: the poles of the linear model stood for the passage."""
     from estimators.diagnosis.model.structure import Part
 
-    for j, mean, ways in _flows(channel, base):
-        part = Part(EXPOSED, j)
-        quick, tried = profiled_behind(channel, base, part, ways)
-        yield from _fits(channel, base, quick, part, [p for _, p in tried[:BEGUN]], [mean, 0.1, 1.0])
+    for j, mean in _flows(channel, base):
+        for quick in quick_behind(channel, base):
+            part = Part(EXPOSED, j)
+            tried = _looked(channel, mean, partial(profile, channel, quick, part), -3)
+            yield from _fits(channel, base, quick, part, tried, [mean, 0.1, 1.0])
+
+
+def _beside(channel: Any, alone: Any, part: Any, ways: list[list[float]]) -> list[tuple[float, Array]]:
+    """The profile of ways of a content, `part`, without a level, beside what the flow does `alone` on the same way."""
+    flow = alone.structure.parts[-1].channel + 1.0
+    beside = ((way, replace(alone, p=np.concatenate((alone.p, way)))) for way in ways)
+    return [run for way, begun in beside for run in profile(channel, begun, part, [[*way, 0.0, flow]])]
 
 
 def _contents(effect: Callable[[], Effect], sign: float) -> Callable[..., Iterator[Any]]:
@@ -133,22 +155,18 @@ def _contents(effect: Callable[[], Effect], sign: float) -> Callable[..., Iterat
     def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         from estimators.diagnosis.model.structure import Part
 
-        quick = quick_behind(channel, base)[-1]
-        flows = list(_flows(channel, base)) if len(base.structure.inputs) <= MOST_FLOWS else []
-        for (j, mean, ways), i in ((flow, i) for flow in flows for i in base.structure.inputs):
+        quick, inputs = quick_behind(channel, base)[-1], base.structure.inputs
+        for (j, mean), i in product(_flows(channel, base), inputs if len(inputs) <= MOST_FLOWS else ()):
             if i == j:
                 continue
             part, su = Part(effect(), i), float(np.std(channel.u[:, i]))
             alone = replace(quick, structure=quick.structure.adding(Part(EXPOSED, j)))
-            found = []
-            for way in ways:
-                flow = replace(alone, p=np.concatenate((quick.p, way)))
-                found += profile(channel, flow, part, [[*way, 0.0, j + 1.0]])
+
             starts = []
-            for _, p in sorted(found, key=lambda entry: entry[0])[:BEGUN]:
+            for _, p in _looked(channel, mean, partial(_beside, channel, alone, part), -5):
                 content, flow = (_gain(quick.structure, p, k) for k in (i, j))
                 starts += [[*p[-5:-2], sign * flow * p[-5] / (content or 1e-300), j + 1.0]]
-            tried = (p for _, p in profile(channel, quick, part, starts))
+            tried = profile(channel, quick, part, starts)
             yield from _fits(channel, base, quick, part, tried, [mean, 0.1, 1.0, su, 0.0])
 
     return search
