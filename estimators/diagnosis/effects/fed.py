@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Slot, numbered
-from estimators.diagnosis.effects.process import MOST_FLOWS, PROCESS, Passing
-from estimators.diagnosis.effects.profiled import firm
+from estimators.diagnosis.effects.process import PROCESS, Passing
+from estimators.diagnosis.effects.profiled import MOST_FLOWS, firm
 
 Array = NDArray[Any]
 FED = ("rise_and_fall", "loss", "outflow_root", "vessel", "capacity_bump", "slipping")

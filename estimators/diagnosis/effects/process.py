@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, level_before
 from estimators.diagnosis.effects.input import kept
 from estimators.diagnosis.effects.loops import PACES, slowest_rate
-from estimators.diagnosis.effects.profiled import BEGUN, ENDED, ended, firm, profiled_behind
+from estimators.diagnosis.effects.profiled import BEGUN, ENDED, MOST_FLOWS, ended, firm, profiled_behind
 from estimators.residual.algebra import powers_of_two
 
 Array = NDArray[Any]
@@ -35,8 +35,7 @@ NEARBY = 25.0
 """Times the linear model's squares, which may have poles that imitate a process, within which its shapes are worth a fit."""
 CONTENTS = (-0.6, 0.5, 1.5, 4.0, 10.0)
 """Relative changes over the record of what a capacity had at its start."""
-FILLS, MOST_FLOWS = 0.5, 3
-"""Of all that flows, what must be net for something to be filled or emptied; inputs of a record that are tried with one another."""
+FILLS = 0.5  # of all that flows, what must be net for something to be filled or emptied
 BUMPS = ((3.0, 0.0, 0.4), (3.0, -0.7, 0.4), (3.0, 0.7, 0.4), (2.0, -1.5, 2.0), (2.0, 1.5, 2.0))
 """Of a capacity that depends on the level: how much more it is at most, where, and how wide that is, in standard deviations of the input."""
 SLIPS, DRAGS = (0.1, 0.3, 0.8), (0.02, 0.3)

@@ -37,6 +37,7 @@ WHOLE = (0.85, 1.15, 61)
 LEAST_TURNS = 1.2  # of a gain in a record: fewer are a drift
 WAVES, WAVED, REPEATS = 12, 20.0, 3.0
 """Harmonics of a periodic gain, what each must gain of Schwarz's criterion, and its turns in a record: less would be any function of time."""
+MOST_FLOWS = 3  # inputs of a record that are tried with one another
 QUICK = 0.2  # pole of the filter behind a process or a loop that its shapes are tried with
 
 

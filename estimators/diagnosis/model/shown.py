@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -74,20 +75,29 @@ def begun_at_rest(channel: Channel, f: Fit) -> Fit:
     return g if g.deviance < f.deviance + UNTOLD else f
 
 
+@lru_cache(maxsize=1)  # for a play that moves between the samples, and for one that moves with them
+def _by_gaps(channel: Channel, base: Fit) -> list[tuple[float, Fit]]:
+    """Half widths of a gap, and the linear fits to what it shows of a signal on its fast ways up and down."""
+    window = np.ones(2 * ABOUT + 1) / (2 * ABOUT + 1)
+    rate = np.convolve(np.gradient(channel.y), window, "same")
+    seen = np.abs(rate) > np.quantile(np.abs(rate[channel.keep]), 1.0 - MOVING)
+    return [
+        (half, f)
+        for half in GAPS * float(np.std(channel.y[channel.keep]))
+        for f in as_shown(channel, base, channel.y + half * np.sign(rate), seen)
+    ]
+
+
 def with_play(channel: Channel, base: Fit, part: Part) -> Fit | None:
     """A fit with a play at the output, from gaps by which its way up and its way down are of one linear signal."""
     s, kept = base.structure, channel.keep
     if s.layout != "tf" or s.effects:
         return None
-    window = np.ones(2 * ABOUT + 1) / (2 * ABOUT + 1)
-    rate = np.convolve(np.gradient(channel.y), window, "same")
-    seen, size = np.abs(rate) > np.quantile(np.abs(rate[kept]), 1.0 - MOVING), float(np.std(channel.y[kept]))
-    shown = (
-        (half, f)
-        for half in GAPS * size
-        for f in as_shown(channel, base, channel.y + half * np.sign(rate), seen)
-    )
-    tried = [(f.structure.adding(part), np.append(f.p, half), np.append(f.scales, size)) for half, f in shown]
+    size = float(np.std(channel.y[kept]))
+    tried = [
+        (f.structure.adding(part), np.append(f.p, half), np.append(f.scales, size))
+        for half, f in _by_gaps(channel, base)
+    ]
 
     def left(entry: tuple[Structure, Array, Array]) -> float:
         error = (channel.y - simulate(*entry[:2], channel.u, channel.clock))[kept]

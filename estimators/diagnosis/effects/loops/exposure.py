@@ -10,13 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
-from estimators.diagnosis.effects.profiled import (
-    BEGUN,
-    ended,
-    firm,
-    profile,
-    quick_behind,
-)
+from estimators.diagnosis.effects.profiled import BEGUN, MOST_FLOWS, ended, firm, profile, quick_behind
 
 Array = NDArray[Any]
 LEAST_FLOW = 1e-4  # volumes a sample: what stands still takes for ever
@@ -31,7 +25,6 @@ what leaves depends on the flow as on a time: at one it does not."""
 NEARBY = 6.0
 """Times the linear model's squares, which may have poles that imitate a passage, within which the best of these is worth a fit."""
 BACKWARDS = 0.02  # of an input's samples, as many may be no flow
-MOST_FLOWS = 3  # inputs of a record that are tried with one another
 PARTS = 4  # of a sample: what leaves has a kink wherever a step of the flow entered
 SWIFTEST = 1e-9  # of a change, the exposure in a sample: a shorter one has no time constant
 
@@ -57,7 +50,7 @@ def _way(x: Array, p: Array) -> _Way | None:
     volume, rate, power = abs(float(p[0])), float(p[1]), float(p[2])
     if not (volume > 0.0 and rate > 0.0 and GENTLEST < power < STEEPEST):
         return None
-    flow = np.maximum(np.append(level_before(x), _parted(x)) / volume, LEAST_FLOW)
+    flow = np.maximum(_parted(x) / volume, LEAST_FLOW)
     quicker, long = rate * np.power(flow, power), 2.0 / flow[0]
     entered = np.concatenate(([-long * flow[0], 0.0], np.cumsum(flow[1:]) / PARTS))
     exposure = np.concatenate(([-long * quicker[0], 0.0], np.cumsum(quicker[1:]) / PARTS))
@@ -66,7 +59,8 @@ def _way(x: Array, p: Array) -> _Way | None:
 
 
 def _parted(x: Array) -> Array:
-    return np.repeat(x, PARTS)
+    """(M + 1,) an input before a record, and in the parts of each of its samples."""
+    return np.append(level_before(x), np.repeat(x, PARTS))
 
 
 def _passed(x: Array, p: Array, clock: Clock) -> Array:
@@ -80,7 +74,7 @@ def _carried(U: Array, channel: int, p: Array, clock: Clock) -> Array:
     way, x = _way(U[:, int(p[-1]) - 1], p), U[:, channel]
     if way is None:
         return np.full(len(U), np.inf)
-    content = np.append(level_before(x), _parted(x)) - p[3]
+    content = _parted(x) - p[3]
     carried = np.concatenate(([0.0], np.cumsum(content * np.diff(way.entered))))
     left = np.diff(np.interp(way.leaving, way.entered, carried)) / np.diff(way.leaving)
     left *= np.exp(-0.5 * (way.change[1:] + way.change[:-1]))
@@ -94,7 +88,7 @@ def _walled(U: Array, channel: int, p: Array, clock: Clock) -> Array:
     way, x = _way(U[:, int(p[-1]) - 1], p), U[:, channel]
     if way is None:
         return np.full(len(U), np.inf)
-    wall = np.append(level_before(x), _parted(x)) - p[3]
+    wall = _parted(x) - p[3]
     near = lagged(wall, 1.0 / np.maximum(np.diff(way.exposure), SWIFTEST))  # without an end of the way
     began = np.interp(way.leaving, way.entered, np.append(near[0], near))
     return way.mean(near - began * np.exp(-way.change))
@@ -161,7 +155,6 @@ def _contents(effect: Callable[[], Effect], sign: float) -> Callable[..., Iterat
                 continue
             part, su = Part(effect(), i), float(np.std(channel.u[:, i]))
             alone = replace(quick, structure=quick.structure.adding(Part(EXPOSED, j)))
-
             starts = []
             for _, p in _looked(channel, mean, partial(_beside, channel, alone, part), -5):
                 content, flow = (_gain(quick.structure, p, k) for k in (i, j))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
 from estimators.diagnosis.effects.loops.limited import ACROSS
-from estimators.diagnosis.effects.profiled import BEGUN, ended, firm, lean, profile
+from estimators.diagnosis.effects.profiled import BEGUN, MOST_FLOWS, ended, firm, lean, profile
 
 Array = NDArray[Any]
 RATIOS, NEARING = (0.5, 0.7, 1.0, 1.4, 2.0), (0.0, 1.5)
@@ -21,7 +21,6 @@ integrator, which fits as well."""
 UNLOADED, LOADS, STALLED = 4, (-0.9, -0.5, 0.0, 0.5, 0.9), 1e-3
 """Servos of one rate each way that a load is tried with; shares of their rates by which half the load's range changes them; and the
 share of a rate that the heaviest load leaves."""
-MOST_LOADED = 3  # inputs of a record that are tried with one another
 LEAST = 1e-300  # half a range that no quotient by it leaves without a number
 
 
@@ -34,7 +33,7 @@ def _servo(x: Array, p: Array, clock: Clock) -> Array:
     return servo_mean(np.ascontiguousarray(x), up, down, lag, level_before(x))
 
 
-@lru_cache(maxsize=MOST_LOADED)  # of each input, for what is loaded too
+@lru_cache(maxsize=MOST_FLOWS)  # of each input, for what is loaded too
 def _unloaded(channel: Any, base: Any, j: int) -> list[tuple[float, Array]]:
     """The rates up and down and the lags of an actuator that an input may run into, the best first."""
     from estimators.diagnosis.model.structure import Part
@@ -74,7 +73,7 @@ def _loads(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     from estimators.diagnosis.model.structure import Part
 
     s = base.structure
-    if s.layout != "tf" or not 1 < len(s.inputs) <= MOST_LOADED:
+    if s.layout != "tf" or not 1 < len(s.inputs) <= MOST_FLOWS:
         return
     for j in s.inputs:
         su = float(np.std(channel.u[:, j]))
