@@ -1,10 +1,10 @@
-"""Rigs whose input is a flow that is changed on its way, and others whose input is weakened, wound up or coded: as in `case_classes`."""
+"""Rigs whose input is a flow that is changed on its way, and others whose input is weakened, wound up or coded, or whose sensors read in turn: as in `case_classes`."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from tests.estimators.diagnosis.case_parts import linear, process, sensor
+from tests.estimators.diagnosis.case_parts import FINE, linear, process, sensor
 
 __all__ = ["PASSAGES"]
 
@@ -62,9 +62,33 @@ def coded(u, a):
     return linear(u - 0.45 * a * (np.floor((u - 0.2) / 0.45) % 2))
 
 
+def two_converters(u, a):
+    """A filter that two converters read in turn, the second of another gain and zero and a third of a sample late."""
+    x = v = 0.0
+    out = np.empty(len(u))
+    for k, value in enumerate(u):
+        mine = int(a) * (k % 2)
+        for i in range(FINE):
+            if i == mine * FINE // 3:
+                out[k] = x + mine * (0.08 * x + 0.3)
+            v += (0.3 * (value - x) - 0.35 * v) / FINE
+            x += v / FINE
+    return out
+
+
+def autoranged(u, a):
+    """A meter that goes over to another range above a level, of another zero and gain, and back below a lower one."""
+    y, on, out = linear(u), False, np.empty(len(u))
+    for k, value in enumerate(y):
+        on = value > 0.9 or (on and value > -0.1)
+        out[k] = value + a * on * (0.5 - 0.3 * value)
+    return out
+
+
 _FLOW = {"mean": 4.0, "size": 1.2}
 PASSAGES = {
     # effect: maker, order of the linear model, form of the input
     "exposure": (heated_tube, 2, _FLOW), "exposure_carried": (hot_stream, 2, _FLOW | {"inputs": 2}), "exposure_walled": (steam, 2, _FLOW | {"inputs": 2}),
     "power_limited": (tram, 3, {"hold": 25}), "gain_worn of a coil": (coil, 2, {"mean": 4.0}), "input_bit": (coded, 2, {}),
+    "multiplexed of instants": (two_converters, 2, {}), "output_autorange": (autoranged, 2, {}),
 }  # fmt: skip

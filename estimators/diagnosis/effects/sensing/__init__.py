@@ -2,6 +2,7 @@
 
 from estimators.diagnosis.effects.sensing.gains import CARRIED, LEVELLED
 from estimators.diagnosis.effects.sensing.jumps import LOST
+from estimators.diagnosis.effects.sensing.ranges import AUTORANGE, RANGES
 from estimators.diagnosis.effects.sensing.rates import TRAILING
 from estimators.diagnosis.effects.sensing.reports import REPORTING
 from estimators.diagnosis.effects.sensing.sensors import BANDED, PACED, SINE, SLIPPED, SWUNG, TREADS
@@ -9,4 +10,19 @@ from estimators.diagnosis.effects.sensing.turns import TURNS
 
 __all__ = ["REPORTING", "SENSORS"]
 
-SENSORS = (SINE, *REPORTING, PACED, TREADS, BANDED, TURNS, LEVELLED, CARRIED, SWUNG, SLIPPED, TRAILING, LOST)
+SENSORS = (
+    RANGES,
+    AUTORANGE,
+    SINE,
+    *REPORTING,
+    PACED,
+    TREADS,
+    BANDED,
+    TURNS,
+    LEVELLED,
+    CARRIED,
+    SWUNG,
+    SLIPPED,
+    TRAILING,
+    LOST,
+)

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
 from estimators.diagnosis.effects.output import KEPT
-from estimators.diagnosis.effects.profiled import CROSSED, firm
 from estimators.residual.algebra import delayed
 
 Array = NDArray[Any]
@@ -328,73 +327,4 @@ CUTOFF = Effect(
     apply=lambda x, p, c: p[1] + (x - p[1]) * (x > p[0]), parameters={"level": "y", "reading": "y"}, search=_cutting,
 )  # fmt: skip
 
-SPLIT_AT, SPLITS = np.linspace(0.15, 0.85, 15), 2
-"""Quantiles of the linear model's output at which a sensor may change its range, and how many of them are gone on from."""
-QUICK, GAINING = 5, 0.999
-"""Steps of a fit before the level is looked for again, and the share of the squares that must be left for another round."""
-
-
-def _ranges(x: Any, p: Array) -> Any:
-    """Zero where the signal is, as a record of deviations begins in whichever range."""
-    read = lambda x: x + (x > p[0]) * (p[1] + p[2] * (x - p[0]))
-    return read(x) - read(0.0)
-
-
-def _split(x: Array, y: Array) -> Array:
-    """Level, jump and slope of the two ranges, each with an offset, that leave the least of a reading (N,) of a signal (N,)."""
-    order, edge = np.argsort(x), len(x) // 20
-    able, d = slice(edge, -edge - 1), y - x
-    sums = np.cumsum(np.stack([x**0, x, d, x * x, x * d, d * d])[:, order], axis=1)
-    n, _, low, _, _, lows = sums[:, able]
-    m, sx, sd, sxx, sxd, sdd = (sums[:, -1:] - sums)[:, able]  # above each level
-    slope = (sxd - sx * sd / m) / np.maximum(sxx - sx * sx / m, 1e-300)
-    left = lows - low * low / n + sdd - sd * sd / m - slope * (sxd - sx * sd / m)
-    at = int(np.argmin(left))
-    level = float(x[order[able]][at])
-    jump = (sd[at] - slope[at] * sx[at]) / m[at] + slope[at] * level - low[at] / n[at]
-    return np.array([level, float(jump), float(slope[at])])
-
-
-def _two_ranges(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """A linear model of what is read less what a jump makes of it, then the level, jump and slope that leave least, and so again."""
-    from estimators.diagnosis.model.fitting import fit
-    from estimators.diagnosis.model.simulation import simulate
-    from estimators.diagnosis.model.structure import Part
-
-    s, y, found = base.structure, channel.y, []
-    if s.layout != "tf" or s.effects or np.mean(channel.keep) < KEPT:
-        return
-    new, size = s.adding(Part(RANGES, s.inputs[0])), float(np.std(y))
-    at = [sl.start for part, sl in zip(s.parts, s.slices(), strict=True) if part.effect is OFFSET]
-    scales = np.concatenate((base.scales, [1e6 * CROSSED * size, size, 1.0]))
-
-    def gone_on(p: Array) -> tuple[float, Array]:
-        """The squares that a few steps leave, and their parameters with the two ranges that the signal and the reading show then."""
-        p = fit(channel, new, p, scales, iterations=QUICK, colour=False).p.copy()
-        x = simulate(s, p[: s.size], channel.u, channel.clock)
-        if not np.all(np.isfinite(x)):
-            return np.inf, p
-        added = p[at].sum()  # behind the sensor
-        p[s.size :] = _split(x - added, y - added)
-        return float(np.sum((y - added - _ranges(x - added, p[s.size :])) ** 2)), p
-
-    x = y - base.residual - base.p[at].sum()
-    for level in np.quantile(x, SPLIT_AT):
-        above = (x > level) - float(level < 0.0)
-        jump = float(above @ base.residual) / max(float(above @ above), 1e-300)
-        found.append(gone_on(np.append(base.p, [level, jump, 0.0])))
-    for best in sorted(found, key=lambda entry: entry[0])[:SPLITS]:
-        while (again := gone_on(best[1]))[0] < GAINING * best[0]:
-            best = again
-        # the linear model's noise is mostly the jumps, and would draw the fit from them
-        if firm(base, best[0]):
-            yield fit(channel, new, best[1], scales, iterations=10)
-
-
-RANGES = Effect(
-    key="output_ranges", cause="output_nonlinearity", nature=Nature.OUTPUT_STATIC, slot=Slot.OUTPUT, trials=60, curve=_ranges,
-    sentence="the sensor has two ranges: above a level it reads another line, with a jump where they meet",
-    apply=lambda x, p, c: _ranges(x, p), parameters={"level": "y", "jump": "y", "slope": "1"}, search=_two_ranges,
-)  # fmt: skip
-
-FOLDING = (MAGNITUDE, SQUARED, RECTIFIED, WRAPPED, CUTOFF, RANGES)
+FOLDING = (MAGNITUDE, SQUARED, RECTIFIED, WRAPPED, CUTOFF)

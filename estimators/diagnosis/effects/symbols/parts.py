@@ -229,6 +229,8 @@ def _scanned(w: Wiring, x: Any, p: Array, k: Any) -> Any:
 
 
 def _in_turn(w: Wiring, x: Any, p: Array, k: Any) -> Any:
+    if p[5] != 0.0:
+        w.refuse("the effect 'multiplexed' reads between the samples", REMEDY)
     slow = x
     if abs(float(p[4])) >= 1.0:
         s, stays = w.state(w.value(x)), float(np.exp(-1.0 / abs(float(p[4]))))
