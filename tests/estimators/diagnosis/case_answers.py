@@ -60,6 +60,7 @@ NAMED = {
     "paths": ("tf", [("mode", [0.2, 0.1, -1.2, 0.8], {"size": 2}), ("integral_curve", [0.3, 0.1, 2.0, 0.2, 3.0, 50.0, -9.0, 4.0])], {}),
     "treads": ("tf", [("output_staircase", [0.4, 0.1])], {}),
     "ranges": ("tf", [("output_ranges", [-0.2, 0.7, 0.3])], {}),
+    "cycle": ("tf", [("gain_cycle", [23.4, 7.5, -0.5, 0.2])], {"clock": (-3.0, 1.0, 300)}),
     "turns": ("tf", [("multiplexed", [4.0, 1.0, 0.7, 0.2, 0.0, 0.0])], {"clock": (-3.0, 1.0, 300)}),
     "turns of a slow one": ("tf", [("multiplexed", [3.0, 1.0, 0.9, 0.2, 6.0, 0.0])], {"clock": (-3.0, 1.0, 300), "rest": False}),
     "paced": ("tf", [("sensor_paced", [0.3, 0.4, 0.2])], {"rest": False}),

@@ -360,6 +360,7 @@ ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     ("exposure_carried", "conveyed"), ("exposure_carried", "exposure_walled"), ("exposure_walled", "exposure_carried"), ("exposure_walled", "bilinear"), ("conveyed", "exposure_carried"), ("bilinear", "exposure_walled"),
     ("input_bit", "input_staircase"), ("input_staircase", "input_bit"), ("input_bit", "input_sine"), ("power_limited", "slipping"), ("slipping", "power_limited"), ("power_limited", "loss_cubic"), ("power_limited", "store_full"),
     ("gain_worn of a coil", "gain_settles"), ("gain_worn of a coil", "gain_decay"), ("gain_settles", "gain_worn of a coil"),
+    ("gain_cycle", "gain_periodic"), ("gain_cycle", "waveform"), ("waveform", "gain_cycle"), ("gain_cycle", "delay_periodic"), ("gain_of_angle", "gain_cycle"),
     ("waveform", "gain_periodic"), ("gain_periodic", "waveform"), ("waveform", "multiplexed of lags"), ("pulse_input", "waveform"), ("steps_input", "waveform"), ("steps_output", "waveform"),
     ("coulomb_grip", "plays"), ("coulomb_grip", "hysteresis_rate"), ("coulomb_grip", "stiffness_cubic"), ("hysteresis_rate", "coulomb_grip"),
     ("three_point", "rate_in_loop"), ("three_point", "geared_servo"), ("rate_limit_servo", "three_point"), ("stiction", "three_point"),

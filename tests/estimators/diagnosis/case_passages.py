@@ -85,10 +85,17 @@ def autoranged(u, a):
     return out
 
 
+def fouled(u, a):
+    """A filter that is fouled and cleaned by the clock, every 73.4 samples."""
+    since = np.arange(len(u) * FINE) / FINE - 21.3
+    gain = 1.0 / (1.0 + 0.6 * a * (since / 73.4 % 1.0))
+    return linear(u * gain.reshape(-1, FINE).mean(axis=1))
+
+
 _FLOW = {"mean": 4.0, "size": 1.2}
 PASSAGES = {
     # effect: maker, order of the linear model, form of the input
     "exposure": (heated_tube, 2, _FLOW), "exposure_carried": (hot_stream, 2, _FLOW | {"inputs": 2}), "exposure_walled": (steam, 2, _FLOW | {"inputs": 2}),
     "power_limited": (tram, 3, {"hold": 25}), "gain_worn of a coil": (coil, 2, {"mean": 4.0}), "input_bit": (coded, 2, {}),
-    "multiplexed of instants": (two_converters, 2, {}), "output_autorange": (autoranged, 2, {}),
+    "gain_cycle": (fouled, 2, {}), "multiplexed of instants": (two_converters, 2, {}), "output_autorange": (autoranged, 2, {}),
 }  # fmt: skip

@@ -5,6 +5,7 @@ The gain of what is used up or warmed follows a slow hidden state; what ages fol
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ tried, and the largest that it grows and falls with: what is wound grows with it
 a half, a given flow through it 1, more is nearly exponential."""
 EXCESSES, AGEING = (-0.5, 0.6, 2.0), (0.05, 0.15, 0.4)
 """What a gain that settles has more of itself at the record's start than at the end, and its time constants in records, that are tried."""
+RESETS, SHORTEST, LEAST_CYCLES = 24, 3.0, 1.5
+"""Instants within a cycle at which a gain may begin its course anew that are tried; samples of the shortest cycle, and how many a record has at least."""
 MEMORIES = (0.05, 0.2)  # of the record: time constants of a slow state that are tried
 
 
@@ -63,6 +66,60 @@ def worn_by(p: Array) -> float:
 
 def _settling(x: Array, p: Array, clock: Clock) -> Array:
     return x * (1.0 + p[0] * np.exp(-np.maximum(clock.turn, 0.0) / max(abs(float(p[1])), SOONEST)))
+
+
+def _since_reset(clock: Clock, p: Array) -> Array:
+    """Mean over each sample of 1 + a s + b s^2, s the share of a cycle of p[0] samples since it began, as it did at the time p[1]."""
+    a, b = p[2:]
+
+    def summed(t: Array) -> Array:
+        s = t - np.floor(t)
+        return np.floor(t) * (1.0 + a / 2.0 + b / 3.0) + s + a * s**2 / 2.0 + b * s**3 / 3.0
+
+    t = (clock.k - p[1]) / p[0]
+    return p[0] * (summed(t + 1.0 / p[0]) - summed(t))
+
+
+def _cycling(x: Array, p: Array, clock: Clock) -> Array:
+    if not SHORTEST <= p[0] <= clock.length / LEAST_CYCLES:
+        return np.full(len(x), np.inf)
+    return x * _since_reset(clock, p)
+
+
+def _cycles(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """At the frequencies that the residual has in common with each input, from the instants in a cycle that explain most of it."""
+    from estimators.diagnosis.effects.profiled import (
+        ended,
+        entering,
+        firm,
+        in_common,
+        lean,
+        left_over,
+        rotating,
+        through,
+    )
+    from estimators.diagnosis.model.structure import Part
+    from estimators.diagnosis.search.starts import renewed
+
+    s = base.structure
+    for j, u in entering(channel, base) if not s.effects else ():
+        part, passed = Part(CYCLING, j), partial(through, base, j)
+        (r, Q), starts = left_over(channel, base), []
+        for w, *_ in rotating(channel, base, u, passed):
+            every = 2.0 * np.pi / w
+            begins = every * np.arange(RESETS) / RESETS
+            courses = [
+                _since_reset(channel.clock, np.array([every, at, *c])) - 1.0
+                for c in np.eye(2)
+                for at in begins
+            ]
+            D = passed(u[:, None] * np.stack(courses, axis=1))
+            told, (a, b) = in_common(D - Q @ (Q.T @ D), r)
+            for i in np.argsort(-told)[:2]:
+                first = np.concatenate((base.p, [every, begins[i], a[i], b[i]]))
+                starts += [first, *renewed(channel, s.adding(part), first)]
+        fits = lean(channel, ended(channel, base, part, starts, [1.0, 1.0, 1.0, 1.0]))
+        yield from (f for f in fits if firm(base, float(np.sum(f.residual**2))))
 
 
 def _with_wear(s: Sizes) -> Grid:
@@ -130,6 +187,11 @@ WORN = Effect(
     sentence="the gain falls, or grows, with all that has passed since the record began: a filter that clogs, a tool, a coil that is wound",
     starts=_with_wear, parameters={"wear": "1/(u sample)", "power": "1"},
 )  # fmt: skip
+CYCLING = Effect(
+    key="gain_cycle", cause="periodic_gain", family="drifts", nature=Nature.TIME, slot=Slot.INPUT, trials=0.5, per_sample=True, apply=_cycling,
+    sentence="the gain runs the same course over and over by the clock, 1 + a s + b s^2 with s from 0 to 1: what fouls and is cleaned, a battery that is changed",
+    parameters={"period": "sample", "begins": "sample", "slope": "1", "bend": "1"}, search=_cycles,
+)  # fmt: skip
 AGED = (
     Effect(key="gain_fatigue", cause="slow_hidden_state", family="heat", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=10, apply=_tired,
            sentence="the gain is used up by the input and recovers slowly: fatigue, a depleted store", starts=_with_use,
@@ -141,4 +203,5 @@ AGED = (
            sentence="the gain follows a slow state that the squared input feeds: heat", starts=with_heat,
            parameters={"share": "1/u^2", "time": "sample"}),
     SLOWING,
+    CYCLING,
 )  # fmt: skip

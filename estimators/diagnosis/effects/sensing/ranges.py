@@ -19,6 +19,10 @@ GAPS = (0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0)
 """Half the gap between its levels up and down, in standard deviations of the signal, that are tried."""
 EDGE, FIRST = 0.05, 0.1
 """Share of the samples that either range has at least, and the first move of both levels, in standard deviations."""
+APART, ROUNDS = 10.0, 12
+"""Gain of one range over the other's, from which on one of them shows nothing; rounds of a level and what it parts."""
+FARTHEST = 1e6
+"""Standard deviations of the output, of a signal that a sensor may read: what explodes is beyond them."""
 QUICK, GAINING = 5, 0.999
 """Steps of a fit before the level is looked for again, and the share of the squares that must be left for another round."""
 
@@ -38,6 +42,8 @@ def _above(x: Array, level: float, half: float) -> Array:
 
 def _late_ranges(x: Array, p: Array, clock: Clock) -> Array:
     level, jump, slope, half = p
+    if not 1.0 / APART < 1.0 + slope < APART:
+        return np.full(len(x), np.inf)
     begins = (level + abs(half) < 0.0) * (jump - slope * level)
     return x + _above(x, level, half) * (jump + slope * (x - level)) - begins
 
@@ -109,11 +115,12 @@ def _changing(
         def parted(p: Array) -> tuple[float, Array]:
             """The squares that are left, and the parameters, with the two ranges that the signal and the reading show."""
             x, p = simulate(s, p[: s.size], channel.u, channel.clock), p.copy()
-            if not np.all(np.isfinite(x)):
+            if not np.all(np.abs(x) < FARTHEST * size):
                 return np.inf, p
             added = p[at].sum()  # behind the sensor
             p[s.size :] = split(x - added, y - added)
-            return float(np.sum((y - added - e.apply(x - added, p[s.size :], channel.clock)) ** 2)), p
+            left = y - added - e.apply(x - added, p[s.size :], channel.clock)
+            return float(left @ left), p
 
         def gone_on(p: Array) -> tuple[float, Array]:
             """The same after a few steps."""
@@ -132,9 +139,10 @@ def _changing(
             jump = float(above @ base.residual) / max(float(above @ above), 1e-300)
             found.append(gone_on(np.concatenate((base.p, [level, jump, 0.0, 0.0][: len(units)]))))
         for best in sorted(found, key=lambda entry: entry[0])[:SPLITS]:
-            while (again := min(gone_on(best[1]), made_anew(best[1]), key=lambda entry: entry[0]))[
-                0
-            ] < GAINING * best[0]:
+            for _ in range(ROUNDS):
+                again = min(gone_on(best[1]), made_anew(best[1]), key=lambda entry: entry[0])
+                if not again[0] < GAINING * best[0]:
+                    break
                 best = again
             # the linear model's noise is mostly the jumps, and would draw the fit from them
             if firm(base, best[0]):
