@@ -42,7 +42,9 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
             straight = named_steps(bench, replace(a, final=t, rivals=rivals))
             if straight.step is None or not bench.stands(straight):
                 continue
-            surely = n.step is None or bench.over(straight.unused, n.unused).meets(bench.policy.searched)
+            surely = n.step is None or bench.over(straight.step.unused[0], n.step.unused[0]).meets(
+                bench.policy.searched
+            )
             n = straight if surely or not bench.stands(n) else n
         return n
 

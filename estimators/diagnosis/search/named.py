@@ -29,7 +29,7 @@ from estimators.diagnosis.record.paired import as_good
 from estimators.diagnosis.result.answers import LinearAnswer, NamedAnswer
 from estimators.diagnosis.search.exchange import without, without_idle
 from estimators.diagnosis.search.free_runs import blocked, denominator, lengthened, start_of
-from estimators.diagnosis.search.naming import BENT, as_shown, bending, dated, scaled_runs
+from estimators.diagnosis.search.naming import BENT, as_shown, bending, dated, scaled_runs, told_apart
 from estimators.diagnosis.search.ratios import part_significance
 from estimators.diagnosis.search.selection import Attribution
 from estimators.diagnosis.search.selection import Claim as Option
@@ -237,7 +237,11 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
         if not weak:
             held = _surest(
                 sorted(
-                    (c for c in claims if _holds(c, bench) and dated(c, f, bench.channel)),
+                    (
+                        c
+                        for c in claims
+                        if _holds(c, bench) and dated(c, f, bench.channel) and told_apart(c, f, bench.channel)
+                    ),
                     key=lambda c: -c.gain.value,
                 ),
                 bench,
@@ -327,6 +331,8 @@ def _why(c: Claim, bench: Bench) -> str:
         return "unused blocks get better with it, but the record does not tell when it happens"
     if not _gains(c, bench):
         return "unused blocks get better with it, but not by what a search of times asks"
+    if c.part.effect.nature in CLOCKED and _holds(c, bench):
+        return "unused blocks get better with it, but an input comes again at the same times: what repeats may be its answer"
     if c.part.effect.nature is Nature.LINEAR and c.p_value < bench.alpha:
         return "unused blocks get better with it, but not by what a search of linear models asks"
     return f"unused blocks get better with it, but it is not significant in the joint fit ({p_stated(c.p_value)})"

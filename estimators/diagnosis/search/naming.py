@@ -177,6 +177,47 @@ def dated(claim: Claim, f: Fit, channel: Channel) -> bool:
     return all(error < DATED * len(channel) for error in errors)
 
 
+HARMONICS, AGAIN, BETWEEN, APART = 12, 0.9, 0.5, 0.5
+"""Harmonics of what repeats that its answer may have; the correlation with itself from which on an input comes again, and what it must have
+fallen to in between; and turns over the record, by which what repeats runs off from a harmonic of the input where the two are known apart."""
+
+
+def told_apart(claim: Claim, f: Fit, channel: Channel) -> bool:
+    """Whether what repeats by the clock is known not to be what the inputs do, which do not come again with it."""
+    if claim.part.effect.nature not in (Nature.TIME, Nature.ADDED):
+        return True
+    names = [name for name, _ in claim.part.parameters(f.structure.order)]
+    values = dict(
+        zip(names, np.abs(f.p[f.structure.slices()[f.structure.parts.index(claim.part)]]), strict=True)
+    )
+    periods = [2.0 * np.pi / v for name, v in values.items() if name.startswith("frequency") and v > 0.0]
+    periods += [v for name, v in values.items() if name == "period"]
+    returns = [first for j in f.structure.inputs if (first := _return(channel.u[:, j])) > 0]
+    return not any(
+        0.5 < first / every < HARMONICS + 0.5
+        and abs(first / every - np.rint(first / every)) * len(channel) < APART * first
+        for every in periods
+        for first in returns
+    )
+
+
+def _return(u: Array) -> int:
+    """Lag in samples at which an input (N,) is first itself again, after it was another; 0 where it never is."""
+    n, x = len(u), u - u.mean()
+    shifted = np.fft.irfft(np.abs(np.fft.rfft(x, 2 * n)) ** 2)[: 3 * n // 4]
+    power = np.concatenate(([0.0], np.cumsum(x**2)))
+    both = np.sqrt(
+        power[n : n - len(shifted) : -1] * (power[-1] - power[: len(shifted)])
+    )  # of the first n - lag samples, and the last
+    alike = shifted / np.maximum(both, 1e-300)
+    another = np.flatnonzero(alike < BETWEEN)
+    again = np.flatnonzero(alike[another[0] :] > AGAIN) + another[0] if len(another) else another
+    if not len(again):
+        return 0
+    end = again[0] + np.flatnonzero(np.append(alike[again[0] :], -1.0) <= AGAIN)[0]
+    return int(again[0] + np.argmax(alike[again[0] : end]))
+
+
 def bending(
     bench: Bench, f: Fit, held: list[Claim], unused: Array, alternatives: Sequence[Fit]
 ) -> list[Claim]:

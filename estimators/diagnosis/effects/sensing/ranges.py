@@ -107,6 +107,7 @@ def _changing(
         if s.layout != "tf" or s.effects or np.mean(channel.keep) < KEPT:
             return
         e, size = effect(), float(np.std(y))
+        read: Any = e.apply
         new = s.adding(Part(e, s.inputs[0]))
         at = [sl.start for part, sl in zip(s.parts, s.slices(), strict=True) if part.effect is OFFSET]
         units = [1e6 * CROSSED * size, size, 1.0, 1e6 * CROSSED * size][: len(e.parameters)]
@@ -119,7 +120,7 @@ def _changing(
                 return np.inf, p
             added = p[at].sum()  # behind the sensor
             p[s.size :] = split(x - added, y - added)
-            left = y - added - e.apply(x - added, p[s.size :], channel.clock)
+            left = y - added - read(x - added, p[s.size :], channel.clock)
             return float(left @ left), p
 
         def gone_on(p: Array) -> tuple[float, Array]:
@@ -129,7 +130,9 @@ def _changing(
         def made_anew(p: Array) -> tuple[float, Array]:
             """The same of a linear part for what the upper range would have read as the lower one does."""
             x, added = simulate(s, p[: s.size], channel.u, channel.clock), p[at].sum()
-            more = e.apply(x - added, p[s.size :], channel.clock) - (x - added)
+            more = read(x - added, p[s.size :], channel.clock) - (x - added)
+            if not np.all(np.isfinite(more)):
+                return np.inf, p
             f = fit_linear(replace(channel, y=y - more), s, rough=True)
             return parted(np.concatenate((f.p, p[s.size :])))
 
