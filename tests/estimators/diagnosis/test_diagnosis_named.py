@@ -204,13 +204,19 @@ def test_a_trend_stands_for_a_pole_that_forgets_nothing_only_where_it_must(
         for name in ("pole", "trend")
     }
     named_as = lambda bench, a: SimpleNamespace(
-        step=SimpleNamespace(parameters={}), claims=(), fit=a.final, unused=a.final.name, dropped=[("step_input", "")]
+        step=SimpleNamespace(parameters={}, unused=(a.final.name,)), claims=(), fit=a.final, unused="", dropped=[("step_input", "")]
     )  # fmt: skip
+    # the linear model as a coarse sensor reads it has a step, and no effects whose runs stand beside it
     monkeypatch.setattr(stage, "named_steps", named_as)
     monkeypatch.setattr(stage, "trending", lambda channel, f: None if passing else fits["trend"])
     monkeypatch.setattr(stage, "drifting", lambda channel, f: fits["trend"])
     gain = SimpleNamespace(meets=lambda limits: better)
-    bench = SimpleNamespace(channel=None, policy=Policy(), over=lambda *a: gain,
+
+    def over(second, first):
+        assert (second, first) == ("trend", "pole")
+        return gain
+
+    bench = SimpleNamespace(channel=None, policy=Policy(), over=over,
                             stands=lambda n: able or n.fit.name == "trend")  # fmt: skip
     a = Attribution(None, None, fits["pole"], [], [], 1.0)  # type: ignore[arg-type]
     assert stage.best_named(bench, a, Menu()).fit.name == chosen  # type: ignore[arg-type]
