@@ -67,11 +67,25 @@ def _highest_peaks(channel: Any, base: Any, count: int) -> tuple[Array, Array] |
 
 def in_series(p: Array, clock: Clock) -> Array:
     """(N,) a signal of one period: its frequency, then the cosine's and sine's size of each harmonic."""
-    first, wave, total = (np.cos(p[0] * clock.k), np.sin(p[0] * clock.k)), (1.0, 0.0), 0.0 * clock.k
-    for a, b in zip(p[1::2], p[2::2], strict=True):  # each harmonic is the one before, turned once more
-        wave = wave[0] * first[0] - wave[1] * first[1], wave[0] * first[1] + wave[1] * first[0]
-        total = total + a * wave[0] + b * wave[1]
-    return total
+    if not isinstance(clock.k, np.ndarray) or clock.k.dtype == object:  # a symbol
+        return sum(c * wave for c, wave in zip(p[1:], _overtones_at(clock.k, p[0], len(p) // 2), strict=True))
+    return p[1:] @ kept(_in_turn, clock.k, np.array([p[0], len(p) // 2]))
+
+
+def _in_turn(k: Array, p: Array) -> Array:
+    return np.array(_overtones_at(k, p[0], int(p[1])))
+
+
+def _overtones_at(k: Any, w: float, count: int) -> list[Any]:
+    """Cosine and sine of each harmonic: of the one before, turned once more."""
+    first, waves = (np.cos(w * k), np.sin(w * k)), []
+    for _ in range(count):
+        waves += (
+            first
+            if not waves
+            else (waves[-2] * first[0] - waves[-1] * first[1], waves[-2] * first[1] + waves[-1] * first[0])
+        )
+    return waves
 
 
 def _repeating(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
