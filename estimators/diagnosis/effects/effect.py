@@ -5,7 +5,7 @@ Maps and forces are written in NumPy functions that act element by element, so t
 the recursions, drawn as a curve, and evaluated with CasADi symbols for the export of a model.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
@@ -238,10 +238,10 @@ class Effect:
         What the curve of a plant's effect is drawn over; empty where it has none.
     memory, linear : bool
         Whether an effect at the output is more than a static curve, and whether it is linear in what it is given.
-    between : bool
-        Whether at the output it follows the signal between the samples.
-    ahead : bool
-        Whether it reads the output later than the clock says, beyond the end of a record.
+    slopes : callable, optional
+        (parameters, clock) -> (parameter, (N,) derivative) of an added signal, by those parameters that it is linear in.
+    between, ahead : bool
+        Whether at the output it follows the signal between the samples, or reads it later than the clock says, beyond a record's end.
     settles : bool
         Whether it began before a later experiment, and has settled there.
     reversing : bool
@@ -285,6 +285,7 @@ class Effect:
     against: str = ""
     memory: bool = False
     linear: bool = False
+    slopes: Callable[[Array, Clock], Iterable[tuple[int, Array]]] | None = None
     between: bool = False
     ahead: bool = False
     settles: bool = False

@@ -15,19 +15,18 @@ from estimators.diagnosis.model.structure import Structure
 
 Array = NDArray[Any]
 Columns = Iterator[tuple[int, Array]]  # index of a parameter, derivative (N,) of the output by it
-OFFSET = "offset"  # key of the effect; its module imports this one
 
 
 def exact_columns(s: Structure, p: Array, u: Array, clock: Clock) -> Columns:
     """Derivatives of the simulated output that need no finite difference.
 
-    A constant that is added gives ones; what else is exact, the plant's own parameters, passes what acts at the output: it has
+    What is added has its own; what else is exact, the plant's own parameters, passes what acts at the output: it has
     the slope of static curves as a factor, and what is linear acts on it as on the output. Shapes: p (s.size,), u (N, nu). The
     finite differences of the fit are the twin that the tests compare with.
     """
     for part, sl in zip(s.parts, s.slices(), strict=True):
-        if part.key == OFFSET:
-            yield sl.start, np.ones(len(u))
+        if part.effect.slopes is not None:
+            yield from ((sl.start + i, d) for i, d in part.effect.slopes(p[sl], clock))
     curved = [q for q in s.parts if q.effect.slot is Slot.OUTPUT]
     if s.layout == "tanks" or any(q.effect.memory and not q.effect.linear for q in curved):
         return

@@ -307,6 +307,8 @@ def test_play_at_the_output_is_fitted_to_the_noise_between_and_on_the_samples(ke
          [-2.0, -1.0, 1.0, 0.3, 0.1, 0.3]),
         (Structure(2).adding(Part(named("offset"))).adding(Part(named("initial"))).adding(Part(named("output_cubic"))),
          [-1.2, 0.5, 0.3, 0.2, 0.4, 0.7, -0.3, 0.05]),
+        (Structure(2).adding(Part(named("tones"), size=2)), [-1.2, 0.5, 0.3, 0.1, 0.2, 0.3, -0.1, 1.1, 0.2, 0.4]),
+        (Structure(2).adding(Part(named("waveform"), size=2)), [-1.2, 0.5, 0.3, 0.1, 0.2, 0.3, -0.1, 0.2, 0.4]),
         *((Structure(2).adding(Part(named("output_cubic"))).adding(Part(named(key))), [-1.2, 0.5, 0.3, 0.1, 0.05, *q])
           for key, q in LINEAR.items()),
     ],

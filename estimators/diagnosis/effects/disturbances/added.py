@@ -33,6 +33,11 @@ def _tones(y: Array, p: Array, clock: Clock) -> Array:
     return y + total
 
 
+def _tones_by_size(p: Array, clock: Clock) -> Iterator[tuple[int, Array]]:
+    for i, w in enumerate(p[::3]):
+        yield from enumerate(kept(_turned, clock.k, np.array([w])), 3 * i + 1)
+
+
 def _turned(k: Array, p: Array) -> Array:
     return np.stack((np.cos(p[0] * k), np.sin(p[0] * k)))
 
@@ -68,8 +73,16 @@ def _highest_peaks(channel: Any, base: Any, count: int) -> tuple[Array, Array] |
 def in_series(p: Array, clock: Clock) -> Array:
     """(N,) a signal of one period: its frequency, then the cosine's and sine's size of each harmonic."""
     if not isinstance(clock.k, np.ndarray) or clock.k.dtype == object:  # a symbol
-        return sum(c * wave for c, wave in zip(p[1:], _overtones_at(clock.k, p[0], len(p) // 2), strict=True))
-    return p[1:] @ kept(_in_turn, clock.k, np.array([p[0], len(p) // 2]))
+        return sum(
+            (c * wave for c, wave in zip(p[1:], _overtones_at(clock.k, p[0], len(p) // 2), strict=True)),
+            0.0 * clock.k,
+        )
+    return p[1:] @ _waves(p, clock)
+
+
+def _waves(p: Array, clock: Clock) -> Array:
+    """(sizes, N) of the harmonics of a signal of one period."""
+    return kept(_in_turn, clock.k, np.array([p[0], len(p) // 2]))
 
 
 def _in_turn(k: Array, p: Array) -> Array:
@@ -304,18 +317,18 @@ def _added(key: str, cause: str, sentence: str, **fields: Any) -> Effect:
 
 OFFSET = _added(
     "offset", "output_offset", "a constant is added", parameters={"offset": "y"}, amplitude=0,
-    apply=lambda y, p, c: y + p[0], starts=lambda s: ([[0.05 * s.sy]], [s.sy]),
+    apply=lambda y, p, c: y + p[0], starts=lambda s: ([[0.05 * s.sy]], [s.sy]), slopes=lambda p, c: [(0, np.ones(len(c.k)))],
 )  # fmt: skip
 
 TONES = _added(
-    "tones", "periodic_disturbance", "a sinusoid is added", parameters=TONE, per_sample=True, apply=_tones,
+    "tones", "periodic_disturbance", "a sinusoid is added", parameters=TONE, per_sample=True, apply=_tones, slopes=_tones_by_size,
     shape=lambda size, order: numbered(TONE, size) if size > 1 else list(TONE.items()), search=_tone_fits,
 )  # fmt: skip
 
 WAVES = {"cosine": "y", "sine": "y"}
 WAVEFORM = _added(
     "waveform", "periodic_disturbance", "a signal that repeats is added, of any form: its period and its harmonics", per_sample=True,
-    apply=lambda y, p, c: y + in_series(p, c), parameters={"frequency": "rad/sample"} | WAVES, trials=10.0, search=_repeating,
+    apply=lambda y, p, c: y + in_series(p, c), slopes=lambda p, c: enumerate(_waves(p, c), 1), parameters={"frequency": "rad/sample"} | WAVES, trials=10.0, search=_repeating,
     shape=lambda size, order: [("frequency", "rad/sample"), *(numbered(WAVES, size) if size > 1 else WAVES.items())],
 )  # fmt: skip
 
