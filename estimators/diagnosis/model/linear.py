@@ -141,9 +141,8 @@ def relinearised(channel: Channel, s: Structure, p: Array) -> Array | None:
     if s.layout == "tanks" or any(q.effect.slot in (Slot.OUTPUT, Slot.PATH) for q in s.parts):
         return None
     head = s.order if s.layout == "tf" else LAYOUTS[s.layout][1]
-    added = [
-        sl for part, sl in s.placed[2] if part.effect.per_sample
-    ]  # signals that were found beside the linear part stay as they are
+    # signals that were found beside the linear part stay as they are
+    added = [sl for part, sl in s.placed[2] if part.effect.per_sample]
     kept = {*range(head), *(i for sl in added for i in range(sl.start, sl.stop))}
     columns = {i: d for i, d in exact_columns(s, p, channel.u, channel.clock) if i not in kept}
     if not columns:

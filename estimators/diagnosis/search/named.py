@@ -235,17 +235,9 @@ def named_steps(bench: Bench, a: Attribution) -> Named:
             claims.append(Claim(part, gain, part_significance(rest, f, part, bench.family, bench.channel.u)))
         weak = [i for i, c in enumerate(claims) if not _gains(c, bench)]
         if not weak:
-            held = _surest(
-                sorted(
-                    (
-                        c
-                        for c in claims
-                        if _holds(c, bench) and dated(c, f, bench.channel) and told_apart(c, f, bench.channel)
-                    ),
-                    key=lambda c: -c.gain.value,
-                ),
-                bench,
-            )
+            known = lambda c, f=f: dated(c, f, bench.channel) and told_apart(c, f, bench.channel)
+            sure = (c for c in claims if _holds(c, bench) and known(c))
+            held = _surest(sorted(sure, key=lambda c: -c.gain.value), bench)
             dropped += [(c.key, _why(c, bench)) for c in claims if c not in held]
             shown = [replace(c, part=as_shown(c.part, f, bench.channel)) for c in held]
             held = bending(bench, f, shown, unused, a.alternatives)
@@ -331,7 +323,7 @@ def _why(c: Claim, bench: Bench) -> str:
         return "unused blocks get better with it, but the record does not tell when it happens"
     if not _gains(c, bench):
         return "unused blocks get better with it, but not by what a search of times asks"
-    if c.part.effect.nature in CLOCKED and _holds(c, bench):
+    if c.part.effect.nature in CLOCKED and c.p_value < bench.alpha:
         return "unused blocks get better with it, but an input comes again at the same times: what repeats may be its answer"
     if c.part.effect.nature is Nature.LINEAR and c.p_value < bench.alpha:
         return "unused blocks get better with it, but not by what a search of linear models asks"

@@ -186,12 +186,10 @@ def told_apart(claim: Claim, f: Fit, channel: Channel) -> bool:
     """Whether what repeats by the clock is known not to be what the inputs do, which do not come again with it."""
     if claim.part.effect.nature not in (Nature.TIME, Nature.ADDED):
         return True
-    names = [name for name, _ in claim.part.parameters(f.structure.order)]
-    values = dict(
-        zip(names, np.abs(f.p[f.structure.slices()[f.structure.parts.index(claim.part)]]), strict=True)
-    )
-    periods = [2.0 * np.pi / v for name, v in values.items() if name.startswith("frequency") and v > 0.0]
-    periods += [v for name, v in values.items() if name == "period"]
+    own = np.abs(f.p[f.structure.slices()[f.structure.parts.index(claim.part)]])
+    values = [(name, v) for (name, _), v in zip(claim.part.parameters(f.structure.order), own, strict=True)]
+    periods = [2.0 * np.pi / v for name, v in values if name.startswith("frequency") and v > 0.0]
+    periods += [v for name, v in values if name == "period"]
     returns = [first for j in f.structure.inputs if (first := _return(channel.u[:, j])) > 0]
     return not any(
         0.5 < first / every < HARMONICS + 0.5
@@ -201,21 +199,23 @@ def told_apart(claim: Claim, f: Fit, channel: Channel) -> bool:
     )
 
 
-def _return(u: Array) -> int:
-    """Lag in samples at which an input (N,) is first itself again, after it was another; 0 where it never is."""
+def _return(u: Array) -> float:
+    """Lag in samples at which an input (N,) is first itself again, after it was another, as its later returns tell it; 0 where it never is."""
     n, x = len(u), u - u.mean()
     shifted = np.fft.irfft(np.abs(np.fft.rfft(x, 2 * n)) ** 2)[: 3 * n // 4]
     power = np.concatenate(([0.0], np.cumsum(x**2)))
-    both = np.sqrt(
-        power[n : n - len(shifted) : -1] * (power[-1] - power[: len(shifted)])
-    )  # of the first n - lag samples, and the last
+    # of the first n - lag samples, and of the last
+    both = np.sqrt(power[n : n - len(shifted) : -1] * (power[-1] - power[: len(shifted)]))
     alike = shifted / np.maximum(both, 1e-300)
     another = np.flatnonzero(alike < BETWEEN)
     again = np.flatnonzero(alike[another[0] :] > AGAIN) + another[0] if len(another) else another
     if not len(again):
-        return 0
+        return 0.0
     end = again[0] + np.flatnonzero(np.append(alike[again[0] :], -1.0) <= AGAIN)[0]
-    return int(again[0] + np.argmax(alike[again[0] : end]))
+    lag, times = int(again[0] + np.argmax(alike[again[0] : end])), 1
+    while 2 * lag + 2 < len(alike):
+        lag, times = 2 * lag - 2 + int(np.argmax(alike[2 * lag - 2 : 2 * lag + 3])), 2 * times
+    return lag / times
 
 
 def bending(

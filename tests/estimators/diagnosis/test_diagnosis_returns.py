@@ -41,6 +41,11 @@ def test_an_input_returns_after_its_period_and_a_random_one_never():
     assert _return(np.ones(N)) == 0
 
 
+def test_a_return_is_known_to_a_part_of_a_sample_where_there_are_many():
+    assert _return(np.sin(2.0 * np.pi * TIME / 37.3)) == pytest.approx(37.3, abs=0.05)
+    assert not _known("gain_periodic", np.sin(2.0 * np.pi * TIME / 37.3), 37.3 / 5, (0.1, 0.2))
+
+
 def test_a_return_is_of_the_whole_input_not_of_most_of_it():
     other = np.sqrt(np.var(SWEPT) * (1.0 / (AGAIN - 0.1) - 1.0)) * RNG.standard_normal(N)
     assert _return(SWEPT + other) == 0

@@ -73,10 +73,8 @@ def _highest_peaks(channel: Any, base: Any, count: int) -> tuple[Array, Array] |
 def in_series(p: Array, clock: Clock) -> Array:
     """(N,) a signal of one period: its frequency, then the cosine's and sine's size of each harmonic."""
     if not isinstance(clock.k, np.ndarray) or clock.k.dtype == object:  # a symbol
-        return sum(
-            (c * wave for c, wave in zip(p[1:], _overtones_at(clock.k, p[0], len(p) // 2), strict=True)),
-            0.0 * clock.k,
-        )
+        waves = _overtones_at(clock.k, p[0], len(p) // 2)
+        return sum((c * wave for c, wave in zip(p[1:], waves, strict=True)), 0.0 * clock.k)
     return p[1:] @ _waves(p, clock)
 
 
@@ -91,13 +89,11 @@ def _in_turn(k: Array, p: Array) -> Array:
 
 def _overtones_at(k: Any, w: float, count: int) -> list[Any]:
     """Cosine and sine of each harmonic: of the one before, turned once more."""
-    first, waves = (np.cos(w * k), np.sin(w * k)), []
-    for _ in range(count):
-        waves += (
-            first
-            if not waves
-            else (waves[-2] * first[0] - waves[-1] * first[1], waves[-2] * first[1] + waves[-1] * first[0])
-        )
+    cosine, sine = np.cos(w * k), np.sin(w * k)
+    waves = [cosine, sine]
+    for _ in range(count - 1):
+        last = waves[-2:]
+        waves += (last[0] * cosine - last[1] * sine, last[0] * sine + last[1] * cosine)
     return waves
 
 

@@ -11,18 +11,5 @@ from estimators.diagnosis.effects.sensing.turns import TURNS
 __all__ = ["REPORTING", "SENSORS"]
 
 SENSORS = (
-    RANGES,
-    AUTORANGE,
-    SINE,
-    *REPORTING,
-    PACED,
-    TREADS,
-    BANDED,
-    TURNS,
-    LEVELLED,
-    CARRIED,
-    SWUNG,
-    SLIPPED,
-    TRAILING,
-    LOST,
-)
+    RANGES, AUTORANGE, SINE, *REPORTING, PACED, TREADS, BANDED, TURNS, LEVELLED, CARRIED, SWUNG, SLIPPED, TRAILING, LOST,
+)  # fmt: skip
