@@ -136,8 +136,14 @@ def profiled_behind(
     channel: Any, base: Any, part: Any, shapes: Iterable[Any]
 ) -> tuple[Any, list[tuple[float, Array]]]:
     """The quick linear part behind which a shape leaves least, and the profile with it."""
-    shapes = list(shapes)
-    found = [(quick, profile(channel, quick, part, shapes)) for quick in quick_behind(channel, base)]
+    found: list[tuple[Any, list[tuple[float, Array]]]] = [
+        (quick, []) for quick in quick_behind(channel, base)
+    ]
+    for shape in shapes:  # one after the other behind each: what its recursion makes of the input is the same
+        for quick, tried in found:
+            tried += profile(channel, quick, part, [shape])
+    for _, tried in found:
+        tried.sort(key=lambda entry: entry[0])
     return min(found, key=lambda entry: entry[1][0][0] if entry[1] else np.inf)
 
 
