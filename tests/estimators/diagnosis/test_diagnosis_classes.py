@@ -149,7 +149,7 @@ def test_a_class_does_not_explain_what_only_looks_like_it(key, of):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("key", ["product_of_inputs", "bilinear", "capacity_filled"])
+@pytest.mark.parametrize("key", ["bilinear", *(pytest.param(k, marks=pytest.mark.validate) for k in ("product_of_inputs", "capacity_filled"))])  # fmt: skip
 def test_effects_of_two_inputs_are_named_and_removed_and_linear_records_are_left_alone(key):
     """Two experiments each, the control in noise of 5 % with a pole at 0.8: one record, false-alarm rate 1 %."""
     maker, _, signal = ALL_CLASSES[key]

@@ -132,7 +132,7 @@ def test_a_start_farther_off_its_rest_than_later_ones_under_the_same_input_is_ho
     assert np.sqrt(np.mean((base.simulate(again, 0) - again.y) ** 2)) < 0.3
 
 
-@pytest.mark.slow
+@pytest.mark.validate
 def test_an_effect_that_only_brings_poles_is_missing_dynamics_and_a_bent_input_is_named():
     """The same rig without and with its cubic; the control claims nothing nonlinear, 1 % false alarms stated."""
     setting = Setting(effort=Effort.QUICK, separate=True)

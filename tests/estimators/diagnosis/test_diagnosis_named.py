@@ -44,7 +44,7 @@ def logged(rng: np.random.Generator, n: int, bent: bool) -> Record:
     return Record(u, (4.0 * np.arctan(0.6 * (x - 1.0)) if bent else x) + e)
 
 
-@pytest.mark.slow
+@pytest.mark.validate
 def test_a_compressive_sensor_is_named_beside_coloured_noise(rng) -> None:
     train, test = logged(rng, 900, True), logged(rng, 500, True)
     result = diagnose(train, test, Setting(deviations=False, skip=20))

@@ -103,7 +103,7 @@ def test_an_actuator_that_stands_on_a_level_stays_there(key):
 @pytest.mark.parametrize(
     "key",
     [
-        key if key in ("input_staircase", "gain_periodic") else pytest.param(key, marks=pytest.mark.validate)
+        key if key == "gain_periodic" else pytest.param(key, marks=pytest.mark.validate)
         for key in PROFILED
         if key in CLASSES
     ],

@@ -134,7 +134,11 @@ def test_a_slow_pole_that_no_input_drives_is_a_level_that_settles(own):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("again", [False, True], ids=["on one clock", "switched on again"])
+@pytest.mark.parametrize(
+    "again",
+    [False, pytest.param(True, marks=pytest.mark.validate)],
+    ids=["on one clock", "switched on again"],
+)
 def test_a_level_that_settles_has_settled_by_the_next_record_on_its_clock(again):
     """A sensor that warms up from the first sample of the training record on, which rests there; only another clock begins anew."""
     rng, records = np.random.default_rng(2), []
