@@ -190,6 +190,8 @@ def told_apart(claim: Claim, f: Fit, channel: Channel) -> bool:
     values = [(name, v) for (name, _), v in zip(claim.part.parameters(f.structure.order), own, strict=True)]
     periods = [2.0 * np.pi / v for name, v in values if name.startswith("frequency") and v > 0.0]
     periods += [v for name, v in values if name == "period"]
+    if not periods:
+        return True
     returns = [first for j in f.structure.inputs if (first := _return(channel.u[:, j])) > 0]
     return not any(
         0.5 < first / every < HARMONICS + 0.5

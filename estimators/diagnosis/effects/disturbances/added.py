@@ -27,19 +27,15 @@ OVERTONES, MOST_OVERTONES, PARTS = 6, 30, (1, 2, 3)
 
 def _tones(y: Array, p: Array, clock: Clock) -> Array:
     total = np.zeros(len(clock.k))
-    for w, a, b in p.reshape(-1, 3):
-        cosine, sine = kept(_turned, clock.k, np.array([w]))
-        total += a * cosine + b * sine
+    for tone in p.reshape(-1, 3):
+        cosine, sine = _waves(tone, clock)
+        total += tone[1] * cosine + tone[2] * sine
     return y + total
 
 
 def _tones_by_size(p: Array, clock: Clock) -> Iterator[tuple[int, Array]]:
-    for i, w in enumerate(p[::3]):
-        yield from enumerate(kept(_turned, clock.k, np.array([w])), 3 * i + 1)
-
-
-def _turned(k: Array, p: Array) -> Array:
-    return np.stack((np.cos(p[0] * k), np.sin(p[0] * k)))
+    for i, tone in enumerate(p.reshape(-1, 3)):
+        yield from enumerate(_waves(tone, clock), 3 * i + 1)
 
 
 def _highest_peaks(channel: Any, base: Any, count: int) -> tuple[Array, Array] | None:
@@ -72,9 +68,11 @@ def _highest_peaks(channel: Any, base: Any, count: int) -> tuple[Array, Array] |
 
 def in_series(p: Array, clock: Clock) -> Array:
     """(N,) a signal of one period: its frequency, then the cosine's and sine's size of each harmonic."""
-    if not isinstance(clock.k, np.ndarray) or clock.k.dtype == object:  # a symbol
-        waves = _overtones_at(clock.k, p[0], len(p) // 2)
-        return sum((c * wave for c, wave in zip(p[1:], waves, strict=True)), 0.0 * clock.k)
+    k: Any = clock.k
+    if not isinstance(k, np.ndarray):  # a symbol
+        waves = _overtones_at(k, p[0], len(p) // 2)
+        total: Any = sum((c * wave for c, wave in zip(p[1:], waves, strict=True)), 0.0 * k)
+        return total
     return p[1:] @ _waves(p, clock)
 
 

@@ -194,7 +194,7 @@ NEARBY = 0.05
 """Of its standard deviation, by which both are moved once the linear part is known: before it is, a mixture of lags tells them roughly."""
 
 
-def _stage(x: Array, half: float, level: float) -> Array:
+def stage(x: Array, half: float, level: float) -> Array:
     """1 while a stage is on, which comes on above `level` + `half`, and goes off below `level` - `half`; 0 while it is off, as at first."""
     from estimators.diagnosis.effects.kernels.recursion_kernels import relay
 
@@ -212,14 +212,14 @@ def _stages(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     r = channel.y[keep] - Z @ (Z.T @ channel.y[keep])
     for j in s.inputs:
         u, su = channel.u[:, j], float(np.std(channel.u[:, j]))
-        told = cache(lambda shape, u=u: told_beside(_stage(u, *shape), Z, r, keep))
+        told = cache(lambda shape, u=u: told_beside(stage(u, *shape), Z, r, keep))
         at = max(((h * su, float(v)) for v in np.quantile(u, STAGED_AT) for h in STAGES), key=told)
         for size in 0.1 * su * 0.5 ** np.arange(HALVED):
             around = ((max(at[0] + a * size, 0.0), at[1] + b * size) for a in CLOSER for b in CLOSER)
             at = max(around, key=told)
         if not firm(base, float(r @ r) - told(at)):
             continue
-        bare, sizes = begun_beside(channel, base, _stage(u, *at))
+        bare, sizes = begun_beside(channel, base, stage(u, *at))
         part, start, scales = (
             Part(STAGED, j),
             np.concatenate((bare.p, [sizes[j], *at])),
@@ -234,5 +234,5 @@ def _stages(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
 STAGED = Effect(
     key="input_staged", cause="relay_with_hysteresis", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=100, reversing=True, search=_stages,
     sentence="a second stage comes on beside the input as it rises, and goes off at a lower level of it: a jump with hysteresis",
-    parameters={"size": "u", "half_width": "u", "level": "u"}, apply=lambda x, p, clock: x + p[0] * _stage(x, p[1], p[2]),
+    parameters={"size": "u", "half_width": "u", "level": "u"}, apply=lambda x, p, clock: x + p[0] * stage(x, p[1], p[2]),
 )  # fmt: skip

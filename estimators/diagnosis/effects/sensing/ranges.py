@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
+from estimators.diagnosis.effects.loops.remembering import stage
 from estimators.diagnosis.effects.output import KEPT
 from estimators.diagnosis.effects.profiled import CROSSED, NEAREST, firm
 
@@ -33,19 +34,12 @@ def _ranges(x: Any, p: Array) -> Any:
     return read(x) - read(0.0)
 
 
-def _above(x: Array, level: float, half: float) -> Array:
-    """1 from where a signal passes `level` + `half` until it falls below `level` - `half`, else 0."""
-    from estimators.diagnosis.effects.kernels.recursion_kernels import relay
-
-    return 0.5 + 0.5 * relay(np.ascontiguousarray(x - level), abs(half))
-
-
 def _late_ranges(x: Array, p: Array, clock: Clock) -> Array:
     level, jump, slope, half = p
     if not 1.0 / APART < 1.0 + slope < APART:
         return np.full(len(x), np.inf)
     begins = (level + abs(half) < 0.0) * (jump - slope * level)
-    return x + _above(x, level, half) * (jump + slope * (x - level)) - begins
+    return x + stage(x, half, level) * (jump + slope * (x - level)) - begins
 
 
 def _lines(below: Array, above: Array) -> tuple[Array, Array, Array, Array]:
@@ -57,11 +51,16 @@ def _lines(below: Array, above: Array) -> tuple[Array, Array, Array, Array]:
     return left, low / n, (sd - slope * sx) / m, slope
 
 
+def _terms(x: Array, d: Array) -> Array:
+    """(6, N) of which `_lines` takes the sums."""
+    return np.stack([x**0, x, d, x * x, x * d, d * d])
+
+
 def _split(x: Array, y: Array) -> Array:
     """Level, jump and slope of the two ranges, each with an offset, that leave the least of a reading (N,) of a signal (N,)."""
     order, edge = np.argsort(x), int(EDGE * len(x))
     able, d = slice(edge, -edge - 1), y - x
-    sums = np.cumsum(np.stack([x**0, x, d, x * x, x * d, d * d])[:, order], axis=1)
+    sums = np.cumsum(_terms(x, d)[:, order], axis=1)
     left, low, high, slope = _lines(sums[:, able], (sums[:, -1:] - sums)[:, able])
     at = int(np.argmin(left))
     level = float(x[order[able]][at])
@@ -70,12 +69,11 @@ def _split(x: Array, y: Array) -> Array:
 
 def _split_late(x: Array, y: Array) -> Array:
     """The same with two levels, one up and one down: of a grid, then ever closer to the best."""
-    size, d = float(np.std(x)), y - x
-    terms = np.stack([x**0, x, d, x * x, x * d, d * d])
+    size, terms = float(np.std(x)), _terms(x, y - x)
     whole = terms.sum(axis=1)
 
     def parted(level: float, half: float) -> tuple[float, Array]:
-        above = terms @ _above(x, level, half)
+        above = terms @ stage(x, half, level)
         if not EDGE < above[0] / len(x) < 1.0 - EDGE:
             return np.inf, np.array([level, 0.0, 0.0, half])
         left, low, high, slope = _lines(whole - above, above)
