@@ -42,7 +42,7 @@ from estimators.diagnosis.result.answers import LinearAnswer, RemainderAnswer, e
 from estimators.diagnosis.result.model import diagnosed_model
 from estimators.diagnosis.result.report import Diagnosis
 from estimators.diagnosis.search.candidates import Menu
-from estimators.diagnosis.search.discoveries import Discovered, discovered
+from estimators.diagnosis.search.discoveries import Discovered, discovered, exhausted
 from estimators.diagnosis.search.elsewhere import seen_elsewhere
 from estimators.diagnosis.search.examination import PHYSICAL, Examined, Known, as_motion, examine
 from estimators.diagnosis.search.few import best_named
@@ -134,7 +134,7 @@ def diagnose(
     clean = [without_faults(first, [bench.kept for _, bench, _ in parts]), *records[1:]]
     plain = base if clean[0] is first else best_linear(clean, _options(first, setting))
     shares = [_shares(clean, i, plain, part[2].step) for i, part in enumerate(parts)]
-    done = [_exhausted(part, left) for part, (_, left) in zip(parts, shares, strict=True)]
+    done = [exhausted(*part, left) for part, (_, left) in zip(parts, shares, strict=True)]
     terms = discovered(clean, plain, setting, _options(first, setting), done)
     say("comparison on blocks not used")
     outcomes = [
@@ -196,12 +196,6 @@ def _named(
 
 MOST = 0.5
 """Share of the linear model's error that dry friction alone must explain for nothing else to be looked for in the catalogue."""
-
-
-def _exhausted(parts: Parts, left: Share) -> bool:
-    """Whether what one output leaves is white and nothing in it is explainable: no term and no remainder is there."""
-    noise = parts[2].fit.noise if parts[2].step is not None else parts[0].attribution.coloured.noise
-    return not len(noise) and not left.explainable
 
 
 def _shares(records: Sequence[Record], i: int, base: Baseline, step: Step | None) -> tuple[Share, Share]:

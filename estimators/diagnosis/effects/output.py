@@ -69,22 +69,12 @@ def _sharp(function: Any) -> Any:
     return lambda x, p, clock: x if p[0] == 0.0 else function(p[0] * x) / p[0]
 
 
-def _logarithm(x: Any, p: Array, clock: Clock) -> Any:
-    """log(1 + c x)/c, of slope 1 at zero and the identity for no c; flat where there is none."""
-    return x if p[0] == 0.0 else np.log1p(np.maximum(p[0] * x, 1e-9 - 1.0)) / p[0]
-
-
-def _bends(s: Sizes) -> Grid:
-    middle = float(np.median(s.y))
-    scale = 1.0 / np.copysign(max(abs(middle), s.sy), middle)
-    return [[f * scale] for f in (0.3, 1.0, 4.0, 20.0)], [abs(scale)]
-
-
 def _sharpness(s: Sizes) -> Grid:
     return [[f / s.sy] for f in (0.25, 0.5, 1.0, 1.8)], [1 / s.sy]
 
 
-def _sensor(key: str, sentence: str, parameters: dict[str, str], trials: float, **fields: Any) -> Effect:
+def sensor(key: str, sentence: str, parameters: dict[str, str], trials: float, **fields: Any) -> Effect:
+    """A static curve that a sensor has."""
     return Effect(
         key=key, cause="output_nonlinearity", nature=Nature.OUTPUT_STATIC, slot=Slot.OUTPUT, sentence=sentence,
         parameters=parameters, trials=trials, **fields,
@@ -103,40 +93,36 @@ OUTPUT = (
     Effect(key="lag", cause="sensor_lag", nature=Nature.LINEAR, slot=Slot.OUTPUT, sentence="one more first-order lag",
            parameters={"pole": "1"}, trials=3, apply=_lag, memory=True, linear=True,
            starts=lambda s: ([[v] for v in (0.2, 0.4, 0.6, 0.75, 0.85, 0.92)], [1.0])),
-    _sensor("output_quadratic", "the sensor reads y + c2 y^2", {"c2": "1/y"}, 1, amplitude=0,
+    sensor("output_quadratic", "the sensor reads y + c2 y^2", {"c2": "1/y"}, 1, amplitude=0,
             apply=lambda x, p, c: x * (1.0 + p[0] * x), starts=lambda s: ([[0.03 / s.sy]], [1 / s.sy])),
-    _sensor("output_cubic", "the sensor reads y + c3 y^3", {"c3": "1/y^2"}, 1, amplitude=0,
+    sensor("output_cubic", "the sensor reads y + c3 y^3", {"c3": "1/y^2"}, 1, amplitude=0,
             apply=lambda x, p, c: x * (1.0 + p[0] * x**2), starts=lambda s: ([[0.02 / s.sy**2]], [1 / s.sy**2])),
-    _sensor("output_polynomial", "the sensor reads y + c2 y^2 + c3 y^3", {"c2": "1/y", "c3": "1/y^2"}, 1,
+    sensor("output_polynomial", "the sensor reads y + c2 y^2 + c3 y^3", {"c2": "1/y", "c3": "1/y^2"}, 1,
             apply=lambda x, p, c: x * (1.0 + x * (p[0] + p[1] * x)),
             starts=lambda s: ([[a / s.sy, b / s.sy**2] for a in (-0.1, 0.1) for b in (-0.03, 0.03)],
                               [1 / s.sy, 1 / s.sy**2])),
-    _sensor("output_lines", "the sensor's curve is a broken line, of no simpler form", {}, 30, block=True,
+    sensor("output_lines", "the sensor's curve is a broken line, of no simpler form", {}, 30, block=True,
             apply=lambda x, p, c: broken_line(x, p),
             shape=lambda size, order: numbered({"slope": "1", "corner": "y"}, size)),
-    _sensor("output_arctan", "the sensor reads atan(c y)/c", {"c": "1/y"}, 2, apply=_sharp(np.arctan), starts=_sharpness),
-    _sensor("output_tanh", "the sensor reads tanh(c y)/c", {"c": "1/y"}, 2, apply=_sharp(np.tanh), starts=_sharpness),
-    _sensor("output_exponential", "the sensor reads an exponential curve, (exp(c y) - 1)/c", {"c": "1/y"}, 4, apply=exponential,
+    sensor("output_arctan", "the sensor reads atan(c y)/c", {"c": "1/y"}, 2, apply=_sharp(np.arctan), starts=_sharpness),
+    sensor("output_tanh", "the sensor reads tanh(c y)/c", {"c": "1/y"}, 2, apply=_sharp(np.tanh), starts=_sharpness),
+    sensor("output_exponential", "the sensor reads an exponential curve, (exp(c y) - 1)/c", {"c": "1/y"}, 4, apply=exponential,
             starts=lambda s: ([[f / s.sy] for f in (0.3, 1.0, -0.3, -1.0)], [1 / s.sy])),
-    _sensor("output_logarithm", "the sensor reads the logarithm of what it sees, log(1 + c y)/c", {"c": "1/y"}, 4, apply=_logarithm,
-            starts=_bends),
-    _sensor("output_ratio", "the sensor saturates as a ratio: y/(1 + c |y|)", {"c": "1/y"}, 4,
-            apply=lambda x, p, c: x / (1.0 + np.abs(p[0] * x)), starts=_bends),
-    _sensor("output_sigmoid", "the sensor saturates smoothly on either side of a centre: tanh(c (y - centre))/c",
+    sensor("output_sigmoid", "the sensor saturates smoothly on either side of a centre: tanh(c (y - centre))/c",
             {"c": "1/y", "centre": "y"}, 8, apply=odd(np.tanh),
             starts=lambda s: ([[f / s.sy, m] for f in (0.4, 1.0) for m in s.centres(s.y)], [1 / s.sy, s.sy])),
-    _sensor("output_clip", "the sensor saturates at +-limit", {"limit": "y"}, 6, two_sided=True,
+    sensor("output_clip", "the sensor saturates at +-limit", {"limit": "y"}, 6, two_sided=True,
             apply=lambda x, p, c: np.clip(x, -abs(p[0]), abs(p[0])),
             starts=lambda s: (quantiles(np.abs(s.y), 0.97, 0.9, 0.8, 0.65), [s.sy])),
-    _sensor("output_clip_upper", "the sensor saturates above", {"high": "y"}, 6,
+    sensor("output_clip_upper", "the sensor saturates above", {"high": "y"}, 6,
             apply=lambda x, p, c: np.minimum(x, p[0]),
             starts=lambda s: (quantiles(s.y, 0.98, 0.93, 0.85, 0.75, 0.6), [s.sy])),
-    _sensor("output_clip_lower", "the sensor saturates below", {"low": "y"}, 6,
+    sensor("output_clip_lower", "the sensor saturates below", {"low": "y"}, 6,
             apply=lambda x, p, c: np.maximum(x, p[0]),
             starts=lambda s: (quantiles(s.y, 0.02, 0.07, 0.15, 0.25, 0.4), [s.sy])),
-    _sensor("output_dead_zone", "the sensor does not see outputs between low and high", {"low": "y", "high": "y"}, 10,
+    sensor("output_dead_zone", "the sensor does not see outputs between low and high", {"low": "y", "high": "y"}, 10,
             apply=lambda x, p, c: dead_zone(x, min(p), max(p)), starts=lambda s: (zones(s.y, (0.2, 0.6)), [s.sy, s.sy])),
-    _sensor("output_absolute", "the sensor has another gain for each sign, y + c |y|", {"c": "1"}, 1, amplitude=0,
+    sensor("output_absolute", "the sensor has another gain for each sign, y + c |y|", {"c": "1"}, 1, amplitude=0,
             apply=lambda x, p, c: x + p[0] * np.abs(x), starts=lambda s: ([[0.05]], [1.0])),
     _backlash("backlash_output", "play at the output",
               apply=lambda x, p, clock: _play(_upsampled(x, BETWEEN), p, clock, BETWEEN)[::BETWEEN], between=True),

@@ -38,6 +38,8 @@ CONTENTS = (-0.6, 0.5, 1.5, 4.0, 10.0)
 FILLS = 0.5  # of all that flows, what must be net for something to be filled or emptied
 BUMPS = ((3.0, 0.0, 0.4), (3.0, -0.7, 0.4), (3.0, 0.7, 0.4), (2.0, -1.5, 2.0), (2.0, 1.5, 2.0))
 """Of a capacity that depends on the level: how much more it is at most, where, and how wide that is, in standard deviations of the input."""
+GROWS = ([1.0, 0.0], [0.0, 1.0], [0.0, 20.0], [-0.6, 0.2])
+"""Of a capacity that grows with the level: its slope, and with the level's square, where the level is what the input keeps it at."""
 SLIPS, DRAGS = (0.1, 0.3, 0.8), (0.02, 0.3)
 """Of the input's standard deviation, the difference that what slips passes on at most; what takes from it, of how fast it nears its input."""
 THINNEST = -0.95  # of a capacity, what its level may take away
@@ -121,9 +123,14 @@ class Passing:
         return _rest(self.force, level, np.array(p[1:], dtype=float), level)
 
 
-def at_once(effect: Effect, q: Array) -> bool:
-    """Whether an effect of parameters q is a process that has no memory from one sample to the next."""
-    return isinstance(effect.apply, Passing) and abs(float(q[0])) > INSTANT
+def at_once(effect: Effect, q: Array, channel: Any, j: int) -> bool:
+    """Whether an effect of parameters q is a process that has no memory from one sample to the next of most of an input, number j."""
+    if not isinstance(effect.apply, Passing) or abs(float(q[0])) <= INSTANT:
+        return False
+    force, u = effect.apply.force, channel.u[:, j]
+    x, step = effect.apply(u, q, channel.clock), NEAR * float(np.std(u))
+    move = lambda x: u - x - force(x, 0.0, u, 0.0, 0.0, q[1:])
+    return float(np.median(np.abs(move(x + step) - move(x)))) * abs(float(q[0])) > INSTANT * step
 
 
 def _process(
@@ -311,6 +318,10 @@ PROCESS = (
              "its time constant, a capacity, is another one near one level: heat that melts, a vessel that widens, iron that saturates",
              lambda p, v, u, q, s, c: (u - p) * (1.0 - 1.0 / (1.0 + np.maximum(c[0], THINNEST) * np.exp(-(((p - c[1]) / c[2]) ** 2)))),
              {"more": "1", "level": "u", "width": "u"}, _bumps),
+    _process("capacity_level", "level_dependent_lag",
+             "its time constant, a capacity, depends on the level, as 1 + k1 x + k2 x^2: a cone, a trough, a heat that grows",
+             lambda p, v, u, q, s, c: (u - p) * (1.0 - 1.0 / np.maximum(1.0 + (c[0] + c[1] * p) * p, 1.0 + THINNEST)),
+             {"k1": "1/u", "k2": "1/u^2"}, lambda s: _shapes(s, *GROWS, sizes=[_losses(s, 2), _losses(s, 3)])),
     _process("slipping", "slip", "what drives it slips: beyond a limit a belt, a clutch, a tyre passes on no more",
              lambda p, v, u, q, s, c: u - p - np.maximum(np.abs(c[0]), LEAST) * np.tanh((u - p) / np.maximum(np.abs(c[0]), LEAST)) + c[1] * p,
              {"limit": "u", "loss": "1"}, lambda s: _shapes(s, *map(list, product(SLIPS, DRAGS)), sizes=[s.su, 1.0])),

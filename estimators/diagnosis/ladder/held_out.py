@@ -16,6 +16,7 @@ from estimators.diagnosis.ladder.stated import SET
 from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, is_sane
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.result.report import ErrorFigure
+from estimators.diagnosis.share.feedback import has_feedback
 from estimators.residual.algebra import mean_error
 from oed.data import Record
 
@@ -256,7 +257,8 @@ def assess(
             sane = [
                 is_sane(run[counts[:, i]], runs[i][0][counts[:, i]], train.y[:, i], policy) for run in runs[i]
             ]
-            if (j := _borne_after_all(ladder, answers[i], off, sane, policy)) != answers[i]:
+            loop = has_feedback([record], [y[:, i] - runs[i][0]], [counts[:, i]])
+            if (j := _borne_after_all(ladder, answers[i], off, sane, loop, policy)) != answers[i]:
                 kinds = (ladder.rungs[k].step.kind.value for k in (j, answers[i]))
                 warnings.append(AFTER_ALL.format(next(kinds), record.output_names[i], next(kinds)))
                 answers[i] = j
@@ -295,18 +297,25 @@ def _borne(before: Array, after: Array, floor: tuple[float, int], policy: Policy
 
 
 def _borne_after_all(
-    ladder: Ladder, answer: int, off: Sequence[Array], sane: Sequence[bool], policy: Policy
+    ladder: Ladder, answer: int, off: Sequence[Array], sane: Sequence[bool], loop: bool, policy: Policy
 ) -> int:
-    """The rung that unused blocks put before the answer without being sure of it, or though it may only hear what the input knows of the
-    noise, where errors on the test record, (n, 1), are surely less with it and its own fit tells it from nothing: the best on unused
-    blocks of those."""
-    limit = (1.0 - policy.searched[1]) * ladder.rungs[answer].value
+    """The rung that unused blocks put before the answer by what a claim asks, and a test record, its errors (n, 1), surely by what a search
+    must gain, where its own fit tells it from nothing: the best on unused blocks of those. One that may only hear what the input knows of
+    the noise hears it on a test record from a `loop` as well."""
+    limit, less = (1.0 - policy.claimed[1]) * ladder.rungs[answer].value, 1.0 - policy.searched[1]
     able = [
         j
         for j, r in enumerate(ladder.rungs)
-        if sane[j] and r.step.kind is not Kind.LINEAR and r.value < limit and r.step.told
+        if sane[j]
+        and r.step.kind is not Kind.LINEAR
+        and r.value < limit
+        and r.step.told
+        and not (loop and r.step.echo)
     ]
-    surely = lambda j, rows: difference_figure(off[answer][rows], off[j][rows]).low > 0.0
+    surely = lambda j, rows: (
+        difference_figure(off[answer][rows], off[j][rows]).low > 0.0
+        and root(off[j][rows]) < less * root(off[answer][rows])
+    )
     late = slice(len(off[answer]) // 2, None)  # a better start alone, which is not heard there, is no effect
     borne = [j for j in able if surely(j, slice(None)) and surely(j, late)]
     return min(borne, key=lambda j: ladder.rungs[j].value, default=answer)

@@ -8,7 +8,7 @@ from oed.data import Record
 
 PLAIN = {
     "c": "curvature c", "c2": "quadratic coefficient c2", "c3": "cubic coefficient c3", "k": "coefficient k",
-    "k2": "quadratic coefficient k2", "k3": "cubic coefficient k3", "k5": "fifth-power coefficient k5", "d": "coefficient d",
+    "k1": "linear coefficient k1", "k2": "quadratic coefficient k2", "k3": "cubic coefficient k3", "k5": "fifth-power coefficient k5", "d": "coefficient d",
     "beta": "coefficient beta", "weight": "weight of play", "low": "lower limit",
     "high": "upper limit", "up": "rate upwards", "down": "rate downwards", "cosine": "cosine part", "sine": "sine part",
     "slope_": "slope of the curve", "log_speed": "factor of speed", "left": "share of the half width left after a jump",

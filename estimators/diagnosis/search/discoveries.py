@@ -13,10 +13,14 @@ from numpy.typing import NDArray
 from estimators.diagnosis.baseline import Baseline, Options, best_linear, of_output
 from estimators.diagnosis.discovery import BUDGETS, Discovery, discover
 from estimators.diagnosis.discovery.search import Budget
+from estimators.diagnosis.ladder.claims import Named
 from estimators.diagnosis.ladder.steps import Kind, Step, paired_gain
 from estimators.diagnosis.policy import Setting
 from estimators.diagnosis.record.admission import LEAST
 from estimators.diagnosis.result.answers import DiscoveredAnswer
+from estimators.diagnosis.search.examination import Examined
+from estimators.diagnosis.search.named import Bench
+from estimators.diagnosis.share import Share
 from oed.data import Record
 
 Array = NDArray[Any]
@@ -70,6 +74,20 @@ class Discovered:
         y = np.nan_to_num(unseen.y[:, self.column])
         gain = paired_gain([y], runs[:1], runs[1:], [use], self.setting.policy)
         return gain.meets(self.setting.policy.claimed)
+
+
+HALVED, LITTLE = 0.5, 0.25
+"""Of the linear model's error, what named effects leave, and of the variance of that the share that may at the most be explainable, for
+no terms of none to be looked for: all that they could explain then is an eighth of the error that is left."""
+
+
+def exhausted(found: Examined, bench: Bench, named: Named, left: Share) -> bool:
+    """Whether there is no term and no remainder in what one output leaves: nothing of it is explainable, and it is white, or named
+    effects leave little that could be."""
+    if left.explainable or named.step is None:
+        return not (left.explainable or len(found.attribution.coloured.noise))
+    halved = named.step_error(bench) < HALVED * bench.error(bench.base.unused[0][:, bench.output])
+    return not len(named.fit.noise) or (halved and left.high < LITTLE)
 
 
 def discovered(

@@ -259,9 +259,8 @@ def _examined(record: Record, i: int, setting: Setting, known: Known) -> Examine
                 f"{record.output_names[i]}: all samples lie on {levels} levels {step:.5g} apart, "
                 f"{step / sigma:.2g} times the residual's standard deviation"))  # fmt: skip
     wild = _wild(channel, s, first) if channel.step == 0.0 else np.zeros(n, dtype=bool)
-    if (
-        np.sum(wild[: max(20, n // 50)]) > 0.7 * wild.sum()
-    ):  # a transient from the start, not faults: asked again
+    # a transient from the start, not faults: asked again
+    if np.sum(wild[: max(20, n // 50)]) > 0.7 * wild.sum():
         wild[:] = False
     if wild.any():  # what stands out from the best single effect too
         found = attribute(channel.without(wild), s, menu, alpha=setting.alpha, most=1)
@@ -277,14 +276,17 @@ def _examined(record: Record, i: int, setting: Setting, known: Known) -> Examine
             found = attribute(channel.without(wild), s, menu, alpha=setting.alpha, singles=singles)
     else:
         found = attribute(channel, s, menu, alpha=setting.alpha, base=None if channel.step else first)
+        # beside an order that is stated no delay is, but for what the best linear model has of one
+        if setting.orders and known.delay > found.final.structure.delay and len(found.final.noise):
+            later = attribute(channel, replace(s, delay=known.delay), menu, alpha=setting.alpha)
+            found = min((found, later), key=lambda a: a.final.criterion)
         if channel.step == 0.0 and found.chosen:
             residual = y - simulate(found.final.structure, found.final.p, channel.u, clock)
             wild = _enough(wild_samples(residual, keep), n)
             if wild.any():
                 found = _refitted(channel.without(wild), found)
     channel = channel.without(wild)
-    if channel.step == 0.0:
-        found = _structured(channel, found, setting)
+    found = _structured(channel, found, setting) if channel.step == 0.0 else found
     if wild.any():
         simulated = simulate(found.final.structure, found.final.p, channel.u, channel.clock)
         size = float(np.median(np.abs((y - simulated)[wild])))

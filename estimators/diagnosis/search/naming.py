@@ -56,7 +56,7 @@ def as_shown(part: Part, f: Fit, channel: Channel) -> Part:
     if effect.nature is Nature.INPUT_STATIC and part.own > 0:
         before, after = np.concatenate(([1.0], p[: part.first])), denominator(f)
         return replace(part, effect=named("sandwich")) if largest_pole(before) > largest_pole(after) else part
-    if at_once(effect, p[part.own :]):
+    if at_once(effect, p[part.own :], channel, part.channel):
         return replace(part, effect=named("input_polynomial"))
     if effect.cause == "duffing" and not _swings(f):
         return replace(part, effect=replace(effect, cause=named("loss").cause))
@@ -72,7 +72,8 @@ def as_shown(part: Part, f: Fit, channel: Channel) -> Part:
 LAGGING = {
     RECYCLE.key: ("share",),
     **{key + fed: own for fed in ("", "_fed") for key, own in {
-        "rise_and_fall": ("asymmetry",), "loss_cubic": ("k3",), "loss": ("k2", "k3"), "capacity_bump": ("more",)}.items()},
+        "rise_and_fall": ("asymmetry",), "loss_cubic": ("k3",), "loss": ("k2", "k3"), "capacity_bump": ("more",),
+        "capacity_level": ("k1", "k2")}.items()},
 }  # fmt: skip
 """Effects that without these parameters are lags beside the plant: more linear dynamics."""
 STRAIGHTENED = 30  # steps in which a lag is fitted in the place of one

@@ -88,6 +88,8 @@ NAMED = {
     "cut-off": ("tf", [("output_cutoff", [0.1, -0.2])], {}),
     "settling": ("tf", [("gain_settles", [0.6, 0.2])], {"clock": (-30.0, 0.5, 300)}),
     "capacity": ("tf", [("capacity_bump", [0.3, 2.0, 0.4, 0.5])], {"rest": False}),
+    "cone": ("tf", [("capacity_level", [0.3, -0.2, 0.5])], {"rest": False}),
+    "gap": ("tf", [("output_hyperbola", [0.4])], {}),
     "linear inside": ("driven", [], {"delay": 2}),
     "springs": ("oscillator", [("stiffness_cubic", [0.1]), ("drag", [0.2])], {"rest": False}),
     "friction": ("oscillator", [("stribeck", [0.3, 0.2, 0.15]), ("offset", [0.1])], {}),

@@ -381,7 +381,7 @@ ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     ("gain_of_angle", "gain_periodic"), ("gain_periodic", "gain_of_angle"), ("gain_fatigue", "gain_heat"), ("gain_heat", "gain_fatigue"),
     ("loss_heat", "loss_cubic"), ("loss_cubic", "loss_heat"), ("capacity_filled", "product_of_inputs"), ("bilinear", "capacity_filled"),
     ("gain_decay", "product_of_inputs"), ("conveyed", "product_of_inputs"), ("conveyed", "capacity_filled"), ("output_ratio", "loss_cubic"),
-    ("output_ratio", "magnitude"), ("delay_periodic", "gain_periodic"), ("gain_periodic", "delay_periodic"),
+    ("output_ratio", "magnitude"), ("output_hyperbola", "output_sigmoid"), ("output_hyperbola", "output_exponential"), ("capacity_level", "loss_cubic"), ("capacity_level", "orifices"), ("delay_periodic", "gain_periodic"), ("gain_periodic", "delay_periodic"),
     ("plays", "hysteresis_rate"), ("plays", "clearance"), ("plays_output", "plays"), ("plays_output", "input_kink"), ("plays_output", "clearance"),
     ("clock_slips", "delay_periodic"), ("clock_slips", "clock_drift"), ("clock_slips", "lost_samples"), ("delay_periodic", "refreshed"), ("delay_periodic", "clock_drift"), ("stiffness_periodic", "delay_periodic"),
     ("gain_periodic", "gain_heat"), ("clearance_sprung", "stiffness_cubic"), ("clearance_sprung", "hysteresis_rate"),

@@ -92,10 +92,21 @@ def fouled(u, a):
     return linear(u * gain.reshape(-1, FINE).mean(axis=1))
 
 
+def funnel(u, a):
+    """A cone that leaks in proportion to its level."""
+    return linear(process(lambda x, v: 0.5 * (v - x) / (1.0 + a * (0.5 * x - 0.2) * x), u, u[0]))
+
+
+def gap(u, a):
+    """A capacity between plates: the reciprocal of what is left of a gap."""
+    return 3.0 / (3.5 - a * sensor(u, u[0], 0.6)) if a else linear(u)
+
+
 _FLOW = {"mean": 4.0, "size": 1.2}
 PASSAGES = {
     # effect: maker, order of the linear model, form of the input
     "exposure": (heated_tube, 2, _FLOW), "exposure_carried": (hot_stream, 2, _FLOW | {"inputs": 2}), "exposure_walled": (steam, 2, _FLOW | {"inputs": 2}),
     "power_limited": (tram, 3, {"hold": 25}), "gain_worn of a coil": (coil, 2, {"mean": 4.0}), "input_bit": (coded, 2, {}),
+    "capacity_level": (funnel, 3, {"mean": 4.0, "size": 1.5}), "output_hyperbola": (gap, 2, {}),
     "gain_cycle": (fouled, 2, {}), "multiplexed of instants": (two_converters, 2, {}), "output_autorange": (autoranged, 2, {}),
 }  # fmt: skip

@@ -13,6 +13,7 @@ from estimators.diagnosis.baseline import Options, best_linear
 from estimators.diagnosis.effects import Nature, named
 from estimators.diagnosis.effects.disturbances.added import begun_beside, run_up
 from estimators.diagnosis.effects.effect import Clock
+from estimators.diagnosis.effects.process import at_once
 from estimators.diagnosis.ladder.claims import Claim
 from estimators.diagnosis.loop import diagnose
 from estimators.diagnosis.model.errors import parameters_of
@@ -172,3 +173,10 @@ def test_a_linear_model_that_cancels_gains_of_a_million_is_not_the_best() -> Non
     for of in (train, test):
         assert np.sqrt(np.mean((step.simulate(of, 0) - of.y[:, 0]) ** 2)) < 0.6 * np.std(y)
     assert base.rmse_unused[0] < 0.3 * np.std(y)
+
+
+@pytest.mark.parametrize(("more", "instant"), [(0.0, True), (200.0, False)])
+def test_a_process_has_no_memory_where_its_capacity_lets_it_have_none(more, instant, rng) -> None:
+    """A vessel that widens was a curve of its input: beside a bump of two hundred its rate is none of the record's."""
+    u = 3.0 + rng.standard_normal(N)
+    assert at_once(named("capacity_bump"), np.array([4.5, more, 3.0, 3.0]), _channel(u, u), 0) is instant

@@ -39,7 +39,7 @@ CURVES = {
     "output_quadratic": lambda x, a, b: x + a * x**2, "output_cubic": lambda x, a, b: x + a * x**3,
     "output_polynomial": lambda x, a, b: x + a * x**2 + b * x**3,
     "output_arctan": lambda x, a, b: math.atan(a * x) / a, "output_tanh": lambda x, a, b: math.tanh(a * x) / a,
-    "output_ratio": lambda x, a, b: x / (1.0 + abs(a * x)),
+    "output_ratio": lambda x, a, b: x / (1.0 + abs(a * x)), "output_hyperbola": lambda x, a, b: x / max(1.0 - a * x, 0.02),
     "output_clip": lambda x, a, b: min(max(x, -a), a), "output_clip_upper": lambda x, a, b: min(x, a),
     "output_clip_lower": lambda x, a, b: max(x, a), "output_absolute": lambda x, a, b: x + a * abs(x),
     "output_dead_zone": lambda x, a, b: x - max(a, b) if x > max(a, b) else x - min(a, b) if x < min(a, b) else 0.0,

@@ -201,8 +201,12 @@ def test_what_only_the_test_record_bears_must_be_told_and_no_better_start(rng) -
             ladder.rungs[1].step, kind=kind, parameters={"coefficient of term 1": (value, 1.0, "")}
         )
         rungs = (ladder.rungs[0], replace(ladder.rungs[1], step=step))
-        found = _borne_after_all(replace(ladder, rungs=rungs), 0, [off, run], [True, True], POLICY)
-        assert found == borne
+        ladder = replace(ladder, rungs=rungs)
+        assert _borne_after_all(ladder, 0, [off, run], [True, True], False, POLICY) == borne
+        echo = replace(ladder, rungs=(rungs[0], replace(rungs[1], step=replace(step, echo=True))))
+        for loop in (False, True):  # the noise of a test record from the loop is heard there too
+            found = _borne_after_all(echo, 0, [off, run], [True, True], loop, POLICY)
+            assert found == borne * (not loop)
 
 
 def test_what_runs_by_the_clock_gives_way_to_terms_that_do_as_well_without_it() -> None:

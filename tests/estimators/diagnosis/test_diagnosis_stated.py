@@ -15,7 +15,9 @@ from estimators.diagnosis.ladder.stated import lacking, settling, starts_moving,
 from estimators.diagnosis.ladder.steps import climb
 from estimators.diagnosis.loop import diagnose
 from estimators.diagnosis.policy import Effort, Policy, Setting
+from estimators.diagnosis.search import examination
 from estimators.diagnosis.search.named import linear_step
+from estimators.diagnosis.search.selection import attribute
 from oed import Record
 
 POLES = np.poly([0.8, 0.6])
@@ -238,3 +240,20 @@ def test_a_plant_that_acts_at_once_keeps_its_direct_path_in_a_loop():
     base = best_linear([train], options)
     assert unheard([train], base, options)[0] is base
     assert base.outputs[0].delays == (0,)
+
+
+@pytest.mark.parametrize(("orders", "delays"), [((2,), [0, 3]), ((), [3])])
+def test_a_delay_beside_an_order_that_is_stated_is_tried_where_an_effect_may_need_it(
+    orders, delays, monkeypatch
+) -> None:
+    """A crane's linear model tells no delay from none, and without its delay no pendulum was found: 2.69 deg by discovered terms, .856."""
+    tried = []
+
+    def counted(channel, s, *args, **kwargs):
+        tried.append(s.delay)
+        return attribute(channel, s, *args, **kwargs)
+
+    monkeypatch.setattr(examination, "attribute", counted)
+    setting = Setting(orders=orders, deviations=False, effects=())
+    found = examination.examine(record(delay=3), 0, setting, examination.Known(2, 3))
+    assert (tried, found.attribution.final.structure.delay) == (delays, 3)

@@ -1,5 +1,6 @@
 """What a sensor makes of its signal, in which samples and by which clock."""
 
+from estimators.diagnosis.effects.sensing.curves import CURVES
 from estimators.diagnosis.effects.sensing.gains import CARRIED, LEVELLED
 from estimators.diagnosis.effects.sensing.jumps import LOST
 from estimators.diagnosis.effects.sensing.ranges import AUTORANGE, RANGES
@@ -11,5 +12,5 @@ from estimators.diagnosis.effects.sensing.turns import TURNS
 __all__ = ["REPORTING", "SENSORS"]
 
 SENSORS = (
-    RANGES, AUTORANGE, SINE, *REPORTING, PACED, TREADS, BANDED, TURNS, LEVELLED, CARRIED, SWUNG, SLIPPED, TRAILING, LOST,
+    *CURVES, RANGES, AUTORANGE, SINE, *REPORTING, PACED, TREADS, BANDED, TURNS, LEVELLED, CARRIED, SWUNG, SLIPPED, TRAILING, LOST,
 )  # fmt: skip
