@@ -299,10 +299,10 @@ def _borne(before: Array, after: Array, floor: tuple[float, int], policy: Policy
 def _borne_after_all(
     ladder: Ladder, answer: int, off: Sequence[Array], sane: Sequence[bool], loop: bool, policy: Policy
 ) -> int:
-    """The rung that unused blocks put before the answer by what a claim asks, and a test record, its errors (n, 1), surely by what a search
-    must gain, where its own fit tells it from nothing: the best on unused blocks of those. One that may only hear what the input knows of
-    the noise hears it on a test record from a `loop` as well."""
-    limit, less = (1.0 - policy.claimed[1]) * ladder.rungs[answer].value, 1.0 - policy.searched[1]
+    """The rung that unused blocks put before the answer without being sure of it, where errors on the test record, (n, 1), are surely less
+    with it and its own fit tells it from nothing: the best on unused blocks of those. One that may only hear what the input knows of the
+    noise hears it on a test record from a `loop` as well."""
+    limit = (1.0 - policy.searched[1]) * ladder.rungs[answer].value
     able = [
         j
         for j, r in enumerate(ladder.rungs)
@@ -312,10 +312,7 @@ def _borne_after_all(
         and r.step.told
         and not (loop and r.step.echo)
     ]
-    surely = lambda j, rows: (
-        difference_figure(off[answer][rows], off[j][rows]).low > 0.0
-        and root(off[j][rows]) < less * root(off[answer][rows])
-    )
+    surely = lambda j, rows: difference_figure(off[answer][rows], off[j][rows]).low > 0.0
     late = slice(len(off[answer]) // 2, None)  # a better start alone, which is not heard there, is no effect
     borne = [j for j in able if surely(j, slice(None)) and surely(j, late)]
     return min(borne, key=lambda j: ladder.rungs[j].value, default=answer)
