@@ -42,7 +42,7 @@ from estimators.diagnosis.result.answers import LinearAnswer, RemainderAnswer, e
 from estimators.diagnosis.result.model import diagnosed_model
 from estimators.diagnosis.result.report import Diagnosis
 from estimators.diagnosis.search.candidates import Menu
-from estimators.diagnosis.search.discoveries import Discovered, discovered, exhausted
+from estimators.diagnosis.search.discoveries import Discovered, discovered, nothing_left
 from estimators.diagnosis.search.elsewhere import seen_elsewhere
 from estimators.diagnosis.search.examination import PHYSICAL, Examined, Known, as_motion, examine
 from estimators.diagnosis.search.few import best_named
@@ -134,7 +134,7 @@ def diagnose(
     clean = [without_faults(first, [bench.kept for _, bench, _ in parts]), *records[1:]]
     plain = base if clean[0] is first else best_linear(clean, _options(first, setting))
     shares = [_shares(clean, i, plain, part[2].step) for i, part in enumerate(parts)]
-    done = [exhausted(*part, left) for part, (_, left) in zip(parts, shares, strict=True)]
+    done = [nothing_left(*part, left) for part, (_, left) in zip(parts, shares, strict=True)]
     terms = discovered(clean, plain, setting, _options(first, setting), done)
     say("comparison on blocks not used")
     outcomes = [
@@ -186,7 +186,7 @@ def _named(
     if motion is not None:
         bench = bench_of(motion)
         named = named_steps(bench, motion.attribution)
-        gain = None if named.step is None else bench.over(named.step.unused[0], base.unused[0][:, i])
+        gain = None if named.step is None else bench.over(named.step.unused[0], bench.linear)
         if gain is not None and gain.meets((setting.policy.searched[0], MOST)):
             return motion, bench, named
     found = examine(record, i, setting, known)

@@ -257,7 +257,8 @@ def assess(
             sane = [
                 is_sane(run[counts[:, i]], runs[i][0][counts[:, i]], train.y[:, i], policy) for run in runs[i]
             ]
-            loop = has_feedback([record], [y[:, i] - runs[i][0]], [counts[:, i]])
+            echoes = any(r.step.echo for r in ladder.rungs)
+            loop = echoes and has_feedback([record], [y[:, i] - runs[i][0]], [counts[:, i]])
             if (j := _borne_after_all(ladder, answers[i], off, sane, loop, policy)) != answers[i]:
                 kinds = (ladder.rungs[k].step.kind.value for k in (j, answers[i]))
                 warnings.append(AFTER_ALL.format(next(kinds), record.output_names[i], next(kinds)))

@@ -81,12 +81,12 @@ HALVED, LITTLE = 0.5, 0.25
 no terms of none to be looked for: all that they could explain then is an eighth of the error that is left."""
 
 
-def exhausted(found: Examined, bench: Bench, named: Named, left: Share) -> bool:
+def nothing_left(found: Examined, bench: Bench, named: Named, left: Share) -> bool:
     """Whether there is no term and no remainder in what one output leaves: nothing of it is explainable, and it is white, or named
     effects leave little that could be."""
     if left.explainable or named.step is None:
         return not (left.explainable or len(found.attribution.coloured.noise))
-    halved = named.step_error(bench) < HALVED * bench.error(bench.base.unused[0][:, bench.output])
+    halved = named.step_error(bench) < HALVED * bench.error(bench.linear)
     return not len(named.fit.noise) or (halved and left.high < LITTLE)
 
 

@@ -51,7 +51,7 @@ def _behind(
     record: Record, bench: Bench, own: Named, other: Bench, cause: Named, step: Step, options: Options
 ) -> Named:  # fmt: skip
     """The output's model behind another output's where unused blocks ask for it by what a search must gain, else its own."""
-    i, policy, linear = bench.output, bench.policy, bench.base.unused[0][:, bench.output]
+    i, policy, linear = bench.output, bench.policy, bench.linear
     known = own.unused if own.step is not None and len(own.unused) else linear
     plain = other.base.y_model[0][:, other.output]
     drive = np.where(np.isfinite(cause.unused), cause.unused, plain)

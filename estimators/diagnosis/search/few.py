@@ -55,7 +55,7 @@ def best_named(bench: Bench, a: Attribution, menu: Menu) -> Named:
     if kept and not refused and not len(a.final.noise) and not _loose(first):
         return first
 
-    linear = bench.base.unused[0][:, bench.output]
+    linear = bench.linear
 
     def judged(fits: Iterable[Fit], share: float, known: Iterable[Named]) -> list[Named]:
         """Those that hold; what is far off on the record itself is not put before unused blocks."""

@@ -86,6 +86,11 @@ class Bench:
         return np.repeat(self.channel.keep, self.thin)
 
     @property
+    def linear(self) -> Array:
+        """(N,) the linear model's run of unused blocks."""
+        return self.base.unused[0][:, self.output]
+
+    @property
     def counted(self) -> NDArray[np.bool_]:
         """(N,) samples that count: measured, after a block's window, neither held nor wild."""
         use = self.base.blocks.counting([self.train])[0][:, self.output].copy()
@@ -147,7 +152,7 @@ class Bench:
 
     def echoes(self, run: Array) -> bool:
         """Whether a run of unused blocks (N,) gains so little that it may only hear the answer of the input to the noise."""
-        gain, policy = self.over(run, self.base.unused[0][:, self.output]), self.policy
+        gain, policy = self.over(run, self.linear), self.policy
         weak = not gain.meets(policy.searched)
         return (self.feedback and weak) or (self.inverse and not gain.meets(policy.overwhelming))
 
@@ -190,7 +195,7 @@ class Bench:
 
     @cached_property
     def _answered(self) -> float:
-        return self._answer(self.base.unused[0][:, self.output])
+        return self._answer(self.linear)
 
     def over(self, second: Array, first: Array, start: int = 0) -> Gain:
         """What one prediction (N,) of unused blocks gains over another from a sample on."""

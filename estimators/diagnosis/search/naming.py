@@ -237,7 +237,7 @@ def bending(
     keep = bench.channel.keep
     power = float(np.mean((full - little / SMALL)[keep] ** 2 + (0.5 * (full + back))[keep] ** 2))
     power = max(power, float(np.mean(_unadded(f, bench.channel, runs[0], little, full)[keep] ** 2)))
-    gained = bench.over(unused, bench.base.unused[0][:, bench.output]).value
+    gained = bench.over(unused, bench.linear).value
     squares = lambda g: float(np.mean(g.residual**2))
     linear = (g for g in alternatives if g.structure.effects[0].effect.nature is Nature.LINEAR)
     more = min(map(squares, linear), default=np.inf) - squares(f)

@@ -62,7 +62,7 @@ def _renamed(channel: Channel, f: Any, gained: float, alternatives: list[Any]) -
     claim: Any = Claim(part, gain, 0.0)
     bench: Any = SimpleNamespace(
         channel=channel, output=0, over=lambda *_: SimpleNamespace(value=gained),
-        base=SimpleNamespace(unused=[np.zeros((N, 1))]),
+        linear=np.zeros(N),
     )  # fmt: skip
     return [c.part.key for c in bending(bench, f, [claim], np.zeros(N), alternatives)]
 

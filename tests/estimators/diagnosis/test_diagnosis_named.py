@@ -178,8 +178,7 @@ def test_what_is_far_off_on_the_record_itself_is_not_put_before_unused_blocks(mo
     monkeypatch.setattr(stage, "second", second)
     monkeypatch.setattr(stage, "trending", lambda channel, f: None)
     gain = SimpleNamespace(meets=lambda limits: True)
-    base = SimpleNamespace(unused=[np.zeros((1, 1))])
-    bench = SimpleNamespace(base=base, output=0, channel=range(100), over=lambda *a: gain, policy=Policy(),
+    bench = SimpleNamespace(linear=np.zeros(1), channel=range(100), over=lambda *a: gain, policy=Policy(),
                             stands=lambda n: True)  # fmt: skip
     a = Attribution(None, None, fits[0], [], [], 1.0, alternatives=tuple(fits[1:]))  # type: ignore[arg-type]
     stage.best_named(bench, a, Menu())  # type: ignore[arg-type]

@@ -55,7 +55,7 @@ def _shown(
     return as_shown(part, fit, channel).effect
 
 
-def test_a_process_that_is_a_lag_and_a_curve_behind_the_plant_are_named_as_what_they_are(
+def test_a_process_without_memory_and_a_curve_behind_the_plant_are_named_as_what_they_are(
     monkeypatch,
 ) -> None:
     monkeypatch.setattr(naming, "_bends", lambda part, f, channel: False)
@@ -63,6 +63,8 @@ def test_a_process_that_is_a_lag_and_a_curve_behind_the_plant_are_named_as_what_
         rows = {"loss.rate": (0.5, 0.01, ""), "loss.k2": (0.1, error, ""), "loss.k3": (0.1, 0.2, "")}
         monkeypatch.setattr(naming, "parameters_of", lambda f, channel, rows=rows: rows)
         assert _shown("loss", [0.5, 0.1, 0.1]).key == key
+    level: Any = SimpleNamespace(u=np.linspace(0.0, 1.0, 99)[:, None], y=(), clock=None)
+    assert _shown("loss", [4.5, 0.1, 0.1], channel=level).key == "input_polynomial"
     assert _shown("input_power", [0.4]).key == "input_power"
     assert _shown("input_power", [-0.2, 0.4], first=1).key == "input_power"
     assert _shown("input_power", [-0.9, 0.4], first=1).key == "sandwich"

@@ -21,7 +21,7 @@ from estimators.diagnosis.discovery.starts import linear_fit, pieces_of, scales_
 from estimators.diagnosis.discovery.uncertainty import _wider, covariance
 from estimators.diagnosis.policy import Effort, Setting
 from estimators.diagnosis.result.answers import read_answer
-from estimators.diagnosis.search.discoveries import discovered, exhausted
+from estimators.diagnosis.search.discoveries import discovered, nothing_left
 from estimators.diagnosis.share import Share
 from estimators.residual.algebra import gapless
 from oed.data import Record
@@ -376,9 +376,7 @@ def test_no_terms_are_looked_for_in_little_that_named_effects_leave() -> None:
     """Of four such records on which it was tried, discovery bettered none, for a fifth to a quarter of all that they cost; it did one
     of which the share was open."""
     linear, left = np.ones(4), Share(0.0, 0.0, 0.2, {}, (), 1.0, 1.0, 1.0, ())
-    bench = SimpleNamespace(
-        base=SimpleNamespace(unused=[linear[:, None]]), output=0, error=lambda e: float(np.mean(e))
-    )
+    bench = SimpleNamespace(linear=linear, error=lambda e: float(np.mean(e)))
     found = SimpleNamespace(attribution=SimpleNamespace(coloured=SimpleNamespace(noise=np.ones(1))))
     for error, high, predicted, noise, done in (
         (0.4, 0.2, 0.0, 1, True), (0.6, 0.2, 0.0, 1, False), (0.4, 0.3, 0.0, 1, False), (0.4, 0.2, 0.1, 1, False), (0.6, 0.3, 0.0, 0, True),
@@ -387,4 +385,4 @@ def test_no_terms_are_looked_for_in_little_that_named_effects_leave() -> None:
             step=(), fit=SimpleNamespace(noise=np.ones(noise)), step_error=lambda b, e=error: e
         )
         share = replace(left, high=high, predicted=(predicted, predicted))
-        assert exhausted(found, bench, named, share) is done  # pyright: ignore[reportArgumentType]
+        assert nothing_left(found, bench, named, share) is done  # pyright: ignore[reportArgumentType]
