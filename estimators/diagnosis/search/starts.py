@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from estimators.diagnosis.effects.effect import Sizes, Slot
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.layouts import RATES, layout_matrices, states
-from estimators.diagnosis.model.linear import fresh_poles, relinearised
+from estimators.diagnosis.model.linear import fresh_poles, numerators, relinearised
 from estimators.diagnosis.model.simulation import acted, joined, simulate
 from estimators.diagnosis.model.structure import Part, Structure, stable_polynomial
 
@@ -129,7 +129,7 @@ def scored(channel: Channel, base: Fit, part: Part, best: int) -> Scored:
     fresh: dict[int, list[Array]] = {}  # by shape
     if part.effect.slot in (Slot.INPUT, Slot.PLANT, Slot.OUTPUT) and not base.structure.effects:
         for k, score in enumerate(found[:RENEWED]):
-            fresh[id(score.p)] = renewed(channel, s, score.p)
+            fresh[id(score.p)] = renewed(channel, s, score.p) + _of_any_size(channel, s, score.p)
             promises = [score.promise]
             for q in fresh[id(score.p)]:
                 rest = _white(channel, base, channel.y - simulate(s, q, channel.u, channel.clock))
@@ -201,6 +201,34 @@ def renewed(channel: Channel, s: Structure, p: Array) -> list[Array]:
             q[:order] = fresh_poles(channel.y, entering, few, channel.keep)
             if stable_polynomial(q[: s.order]) and (again := relinearised(channel, s, q)) is not None:
                 found.append(again)
+    return found
+
+
+def _of_any_size(channel: Channel, s: Structure, p: Array) -> list[Array]:
+    """The parameters with an effect at an input, and the poles, made for what it adds there as for an input of its own.
+
+    Its size need not be known then: the linear model's slow pole, which followed the level of a gain that drifts, says it has none.
+    """
+    part, at = s.parts[-1], s.slices()[-1].start
+    if part.effect.amplitude is None or part.effect.slot is not Slot.INPUT or s.layout != "tf":
+        return []
+    at, none = at + part.effect.amplitude, p.copy()
+    none[at] = 0.0
+    before, entering = (acted(s, q, channel.u, channel.clock) for q in (none, p))
+    if before is None or entering is None:
+        return []
+    j = s.inputs.index(part.channel)
+    U = np.column_stack((before, entering[:, j] - before[:, j]))
+    f = fresh_poles(channel.y, U, s, channel.keep)
+    if not stable_polynomial(f):
+        return []
+    y, U = channel.y - channel.y[channel.keep].mean(), U - U[channel.keep].mean(axis=0)
+    b = numerators(y, U, f, s.taps, s.delay, channel.keep).reshape(U.shape[1], s.taps)
+    found = []
+    for size in (b[j] @ b[-1] / (b[j] @ b[j]), b[-1].sum() / b[j].sum()):  # of the taps, and of what they add up to
+        q = p.copy()
+        q[: s.order], q[at] = f, p[at] * size
+        found += [] if (again := relinearised(channel, s, q)) is None else [again]
     return found
 
 

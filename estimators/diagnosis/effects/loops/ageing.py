@@ -24,7 +24,7 @@ WEARS, WORN_BY, MOST_WOUND, MOST_WORN = (1.0, 5.0, 25.0), (-1.0, 0.5, 1.0), 2.0,
 """What all that passes in a record adds to a resistance, a radius of 1, that is tried; the powers of it that a gain falls with, that are
 tried, and the largest that it grows and falls with: what is wound grows with it itself or its root, a cake under a given pressure has
 a half, a given flow through it 1, more is nearly exponential."""
-EXCESSES, AGEING = (-0.5, 0.6, 2.0), (0.05, 0.15, 0.4)
+AGEING = (0.05, 0.15, 0.4, 2.0)
 """What a gain that settles has more of itself at the record's start than at the end, and its time constants in records, that are tried."""
 RESETS, SHORTEST, LEAST_CYCLES = 24, 3.0, 1.5
 """Instants within a cycle at which a gain may begin its course anew that are tried; samples of the shortest cycle, and how many a record has at least."""
@@ -178,9 +178,9 @@ SLOWING = Effect(
 )  # fmt: skip
 
 SETTLES = Effect(
-    key="gain_settles", cause="gain_drift", family="drifts", nature=Nature.TIME, slot=Slot.INPUT, trials=10, apply=_settling,
+    key="gain_settles", cause="gain_drift", family="drifts", nature=Nature.TIME, slot=Slot.INPUT, trials=10, apply=_settling, amplitude=0,
     sentence="the gain falls with time, or grows, and nears an end: a catalyst, a lamp that runs in",
-    starts=lambda s: ([[more, m] for more in EXCESSES for m in AGEING], [1.0, 0.1]), parameters={"more": "1", "memory": "record"},
+    starts=lambda s: ([[0.05, m] for m in AGEING], [1.0, 0.1]), parameters={"more": "1", "memory": "record"},
 )  # fmt: skip
 WORN = Effect(
     key="gain_worn", cause="slow_hidden_state", family="heat", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=10, apply=_worn,

@@ -23,7 +23,9 @@ SEED = 1987  # of the poles: the same record has the same answer
 NEAR_ZERO = 0.35  # of the mean magnitude: below it a minimum may be a change of sign
 # poles of a filter behind the fold: a jump is one of the angle only where it is undone
 LAGS = np.arange(0.0, 0.96, 0.05)
-FOLLOWED, BY, FORMS = (2, 2, 2)  # of them, whose angle so many poles follow best; models fitted
+FOLLOWED, BY, FORMS = (3, 2, 2)  # of them, whose angle so many poles follow best; models fitted
+# of the least error of the whole reading, up to which a lag may be the right one: what is clear of all jumps tells of no turn
+ALIKE = 1.3
 LEAST_TURNS = 2  # jumps of a record that make it one of an angle
 COUNTS = 3  # rounds of turns from the model, and the model from the turns
 CLEAR, TAIL = 3, 10  # samples before and after a jump that say little: a filter keeps them
@@ -210,12 +212,17 @@ def _turns(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     s, y, keep = base.structure, channel.y, channel.keep
     if s.layout != "tf" or s.effects or np.mean(keep) < KEPT:
         return
-    few, tried = replace(s, order=BY, taps=BY, delay=0), []
+    few, tried, far = replace(s, order=BY, taps=BY, delay=0), [], MOVED * float(np.ptp(y[keep]))
     for pole in map(float, LAGS):
         if (found := _unrolled(y, pole, keep)) is not None:
             f = fit_linear(replace(channel, y=found[0], keep=found[1]), few, rough=True)
-            tried.append((float(np.mean(f.residual[found[1]] ** 2)) * (1.0 - pole) ** 2, pole, found))
-    for _, pole, (angle, clear, (turn, centre)) in sorted(tried, key=lambda t: t[0])[:FOLLOWED]:
+            angle = simulate(f.structure, f.p, channel.u, channel.clock)
+            e = y - _wrapped(angle, np.array([found[2][0], 0.0, found[2][1], pole]), channel.clock)
+            whole = float(np.mean(np.minimum(np.abs(e), far)[keep] ** 2))
+            tried.append((float(np.mean(f.residual[found[1]] ** 2)) * (1.0 - pole) ** 2, whole, pole, found))
+    least = ALIKE * min((whole for _, whole, *_ in tried), default=0.0)
+    good = sorted(tried, key=lambda t: (max(t[1], least), t[0]))[:FOLLOWED]
+    for _, _, pole, (angle, clear, (turn, centre)) in good:
         seen = np.concatenate((y[:1], (y[1:] - pole * y[:-1]) / (1.0 - pole)))
         forms = [replace(s, order=n, taps=n, delay=d) for n in ORDERS_TURNED for d in {0, s.delay}]
         fits = [fit_linear(replace(channel, y=angle, keep=clear), form, rough=True) for form in forms]
