@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
+from estimators.diagnosis.effects.disturbances.added import in_series
+from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, numbered
 from estimators.diagnosis.effects.plant import MOVING
 from estimators.diagnosis.effects.profiled import (
     FIRM,
+    WAVE,
     ended,
     entering,
     in_common,
@@ -19,9 +21,14 @@ from estimators.diagnosis.effects.profiled import (
     left_over,
     rotating,
     through,
+    waved,
 )
 
 Array = NDArray[Any]
+FLOWING = frozenset({"first", "cascade", "chain"})  # a level, which a loss pulls at
+LAG = np.log(
+    0.7
+)  # rate of a sensor or an actuator beside it, which the linear model made slow to stand for the loss
 SWINGS = (0.7, 1.3, 2.2)  # largest angles in radian that a pendulum is started with
 SHAKEN = (-0.95, 0.0)  # zeros of the block before a pendulum: its pivot is accelerated, or its torque lags
 FEW = 4  # starts that are fitted
@@ -300,35 +307,50 @@ REVOLVING = Effect(
 
 
 def _breath(U: Array, channel: int, p: Array, clock: Clock) -> Array:
-    return p[1] * np.cos(p[0] * clock.k) + p[2] * np.sin(p[0] * clock.k)
+    return in_series(p, clock)
 
 
-def _breathing(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """A stiffness that varies is a force on the position, which the output shows: at the frequencies that the residual shows in the
-    response to the output as an input."""
-    from estimators.diagnosis.model.fitting import fit
-    from estimators.diagnosis.model.linear import layout_starts
-    from estimators.diagnosis.model.structure import Part
+def _breathing(effect: Callable[[], Effect]) -> Callable[..., Iterator[Any]]:
+    """A stiffness or a loss that varies is a force on the position, which the output shows: at the frequencies that the residual shows in
+    the response to the output as an input, one harmonic after the other."""
 
-    s, n = base.structure, len(channel)
-    if s.layout != "tf" or s.effects or s.order < 2:
-        return
-    quiet = replace(base, noise=np.zeros(0))
-    position = np.sum([through(quiet, j, u) for j, u in entering(channel, base)], axis=0)
-    gain = float(np.sum(base.p[s.order : s.order + s.taps]) / (1.0 + np.sum(base.p[: s.order])))
-    shapes = rotating(channel, base, position, partial(through, base, s.inputs[0]))
-    for new, p, scales in layout_starts(channel, base) if shapes else ():
-        if BREATH.fits(new.layout):
-            f = fit(channel, new, p, scales, noise=base.noise, iterations=8, colour=False)
-            starts = [np.concatenate((f.p, shape * (1.0, -gain, -gain))) for shape in shapes]
-            yield from ended(channel, f, Part(BREATH, new.inputs[0]), starts, [1.0 / n, 1.0, 1.0])
+    def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+        from estimators.diagnosis.model.fitting import fit
+        from estimators.diagnosis.model.linear import layout_starts
+        from estimators.diagnosis.model.structure import Part
+
+        s, n, e = base.structure, len(channel), effect()
+        if s.layout != "tf" or s.effects:
+            return
+        quiet = replace(base, noise=np.zeros(0))
+        position = np.sum([through(quiet, j, u) for j, u in entering(channel, base)], axis=0)
+        gain = float(np.sum(base.p[s.order : s.order + s.taps]) / (1.0 + np.sum(base.p[: s.order])))
+        shapes = rotating(channel, base, position, partial(through, base, s.inputs[0]))
+        for new, p, scales in layout_starts(channel, base) if shapes else ():
+            beside = [p] if new.layout not in FLOWING - {"first"} else [p, np.r_[p[:1], LAG, p[2:]]]
+            for p in beside if e.fits(new.layout) else ():
+                f = fit(channel, new, p, scales, noise=base.noise, iterations=8, colour=False)
+                starts = [np.concatenate((f.p, shape * (1.0, -gain, -gain))) for shape in shapes]
+                for f in ended(channel, f, Part(e, new.inputs[0]), starts, [1.0 / n, 1.0, 1.0]):
+                    yield from waved(channel, f)
+
+    return search
 
 
-BREATH = Effect(
-    key="stiffness_periodic", cause="periodic_stiffness", nature=Nature.TIME, slot=Slot.PLANT, per_sample=True, family="drifts",
-    sentence="the stiffness changes periodically: (1 + a cos(w t) + b sin(w t))", layouts=MOVING - {"integrator"},
-    force=lambda p, v, u, q, s, c: s * p, signal=_breath, search=_breathing,
-    parameters={"frequency": "rad/sample", "cosine": "1", "sine": "1"},
-)  # fmt: skip
+def _breathes(
+    key: str, cause: str, what: str, layouts: frozenset[str], effect: Callable[[], Effect]
+) -> Effect:
+    return Effect(
+        key=key, cause=cause, nature=Nature.TIME, slot=Slot.PLANT, per_sample=True, family="drifts", layouts=layouts,
+        sentence=f"the {what} changes periodically: (1 + a cos(w t) + b sin(w t)), with harmonics where there are some",
+        force=lambda p, v, u, q, s, c: s * p, signal=_breath, search=_breathing(effect), parameters={"frequency": "rad/sample"} | WAVE,
+        shape=lambda size, order: [("frequency", "rad/sample"), *(numbered(WAVE, size) if size > 1 else WAVE.items())],
+    )  # fmt: skip
 
-ROTATION = (PENDULUM, PIVOT, POSITION, REVOLVING, BREATH)
+
+BREATH = _breathes(
+    "stiffness_periodic", "periodic_stiffness", "stiffness", MOVING - {"integrator"}, lambda: BREATH
+)
+WARMTH = _breathes("loss_periodic", "periodic_loss", "loss", FLOWING, lambda: WARMTH)
+
+ROTATION = (PENDULUM, PIVOT, POSITION, REVOLVING, BREATH, WARMTH)

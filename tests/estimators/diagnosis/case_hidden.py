@@ -383,7 +383,7 @@ ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     ("gain_decay", "product_of_inputs"), ("conveyed", "product_of_inputs"), ("conveyed", "capacity_filled"), ("output_ratio", "loss_cubic"),
     ("output_ratio", "magnitude"), ("output_hyperbola", "output_sigmoid"), ("output_hyperbola", "output_exponential"), ("capacity_level", "loss_cubic"), ("capacity_level", "orifices"), ("delay_periodic", "gain_periodic"), ("gain_periodic", "delay_periodic"),
     ("plays", "hysteresis_rate"), ("plays", "clearance"), ("plays_output", "plays"), ("plays_output", "input_kink"), ("plays_output", "clearance"),
-    ("clock_slips", "delay_periodic"), ("clock_slips", "clock_drift"), ("clock_slips", "lost_samples"), ("delay_periodic", "refreshed"), ("delay_periodic", "clock_drift"), ("stiffness_periodic", "delay_periodic"),
+    ("clock_slips", "delay_periodic"), ("clock_slips", "clock_drift"), ("clock_slips", "lost_samples"), ("delay_periodic", "refreshed"), ("delay_periodic", "clock_drift"), ("stiffness_periodic", "delay_periodic"), ("loss_periodic", "gain_periodic"), ("gain_periodic", "loss_periodic"), ("loss_periodic", "gain_cycle"),
     ("gain_periodic", "gain_heat"), ("clearance_sprung", "stiffness_cubic"), ("clearance_sprung", "hysteresis_rate"),
     ("lag_drift", "gain_heat"), ("inertia_drift", "lag_drift"), ("lag_drift", "lost_samples"), ("clock_settles", "lag_drift"),
     ("clock_drift", "clock_settles"), ("lost_samples", "clock_settles"), ("loss_change", "inertia_drift"), ("interleaved", "clock_drift"),

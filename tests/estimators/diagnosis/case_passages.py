@@ -97,6 +97,17 @@ def funnel(u, a):
     return linear(process(lambda x, v: 0.5 * (v - x) / (1.0 + a * (0.5 * x - 0.2) * x), u, u[0]))
 
 
+def aired(u, a):
+    """A house that the wind cools more by day, which has 61.3 samples."""
+    t = 2.0 * np.pi * np.arange(len(u) * FINE) / FINE / 61.3 + 0.4
+    loss, x, out = 1.0 + a * (0.3 * np.cos(t) + 0.1 * np.sin(2.0 * t)), u[0], np.empty(len(u))
+    for k, value in enumerate(u):
+        for each in loss[k * FINE : (k + 1) * FINE]:
+            x += 0.06 * (value - each * x) / FINE
+        out[k] = x
+    return sensor(out, u[0])
+
+
 def gap(u, a):
     """A capacity between plates: the reciprocal of what is left of a gap."""
     return 3.0 / (3.5 - a * sensor(u, u[0], 0.6)) if a else linear(u)
@@ -108,5 +119,6 @@ PASSAGES = {
     "exposure": (heated_tube, 2, _FLOW), "exposure_carried": (hot_stream, 2, _FLOW | {"inputs": 2}), "exposure_walled": (steam, 2, _FLOW | {"inputs": 2}),
     "power_limited": (tram, 3, {"hold": 25}), "gain_worn of a coil": (coil, 2, {"mean": 4.0}), "input_bit": (coded, 2, {}),
     "capacity_level": (funnel, 3, {"mean": 4.0, "size": 1.5}), "output_hyperbola": (gap, 2, {}),
+    "loss_periodic": (aired, 2, {"mean": 4.0}),
     "gain_cycle": (fouled, 2, {}), "multiplexed of instants": (two_converters, 2, {}), "output_autorange": (autoranged, 2, {}),
 }  # fmt: skip
