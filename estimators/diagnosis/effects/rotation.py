@@ -331,8 +331,8 @@ def _breathing(effect: Callable[[], Effect]) -> Callable[..., Iterator[Any]]:
             for p in beside if e.fits(new.layout) else ():
                 f = fit(channel, new, p, scales, noise=base.noise, iterations=8, colour=False)
                 starts = [np.concatenate((f.p, shape * (1.0, -gain, -gain))) for shape in shapes]
-                for f in ended(channel, f, Part(e, new.inputs[0]), starts, [1.0 / n, 1.0, 1.0]):
-                    yield from waved(channel, f)
+                for g in ended(channel, f, Part(e, new.inputs[0]), starts, [1.0 / n, 1.0, 1.0]):
+                    yield from waved(channel, g)
 
     return search
 

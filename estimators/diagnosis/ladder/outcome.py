@@ -50,6 +50,7 @@ class Outcome:
     # the present input answers the present noise: a model may predict better by being the controller's inverse as well
     inverse: bool = False
     loop: bool = False  # by so much of an input that a closed loop is told
+    apart: bool = False  # beside an inverse: named effects that answer no input at once, and are none, halve the error as well
 
     def value(self, kind: Kind) -> float:
         """Least error on unused blocks of the steps of a kind; infinite where there is none."""

@@ -34,6 +34,7 @@ UNCLAIMED = "no cause found that holds on unused data"
 NOTHING = "nothing is missing from the linear model that data not used could show"
 ANSWERS = "the input answers the noise"
 ECHO = f"{ANSWERS}: no cause can be told from the controller's answer"
+APART = "a model that no controller's inverse can be halves the error on unused blocks as well; its names may be others"
 MINGLED = "input and noise go together, as in a loop, in two measurements of one thing, or in signals filtered by later samples: no cause can be told"
 
 
@@ -137,14 +138,14 @@ def _explainable(outcomes: Sequence[Outcome]) -> dict[str, Any]:
 
 
 def _system(o: Outcome, tag: str, policy: Policy) -> list[Finding]:
-    """What is claimed of the system: named effects that the answer stands on, else the terms that were discovered.
-
-    Where a discovered model is the answer, the named effects keep their names if they explain nearly all that it does.
+    """What is claimed of the system: named effects that the answer stands on, else the terms that were discovered; where
+    these are the answer, the named effects keep their names if they explain nearly all that it does.
     """
     kinds = {s.kind for s in o.ladder.chosen.chain}
-    if o.inverse:
-        return []
     claimed = _supported(o, _claimed(o, tag), policy)
+    if o.inverse:  # its own terms may be the controller's: what is no inverse tells the nature
+        first = claimed[:1] if o.apart else []
+        return [replace(f, key="", cause=UNKNOWN, sentence=APART + tag) for f in first]
     linear = bool(claimed) and o.bent and all(f.nature == Nature.LINEAR for f in claimed)
     anything = o.share.explainable and o.named.anything(CATALOGUE)
     if anything or linear or (claimed and o.gainsaid(claimed[0].nature)):
@@ -310,9 +311,8 @@ def _unexplained(o: Outcome, rest: list[Leftover], alpha: float, tag: str) -> li
     a, f = o.examined.attribution, o.named.fit
     if o.examined.signatures or o.ladder.chosen.kind in (Kind.DISCOVERED, Kind.REMAINDER):
         return []
-    if (
-        o.inverse or o.share.feedback or not o.of_the_best
-    ):  # an input that knows the noise makes any residual depend on it
+    # an input that knows the noise makes any residual depend on it
+    if o.inverse or o.share.feedback or not o.of_the_best:
         return []
     explained = 0.0
     if (

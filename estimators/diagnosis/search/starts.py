@@ -225,7 +225,10 @@ def _of_any_size(channel: Channel, s: Structure, p: Array) -> list[Array]:
     y, U = channel.y - channel.y[channel.keep].mean(), U - U[channel.keep].mean(axis=0)
     b = numerators(y, U, f, s.taps, s.delay, channel.keep).reshape(U.shape[1], s.taps)
     found = []
-    for size in (b[j] @ b[-1] / (b[j] @ b[j]), b[-1].sum() / b[j].sum()):  # of the taps, and of what they add up to
+    for size in (
+        b[j] @ b[-1] / (b[j] @ b[j]),
+        b[-1].sum() / b[j].sum(),
+    ):  # of the taps, and of what they add up to
         q = p.copy()
         q[: s.order], q[at] = f, p[at] * size
         found += [] if (again := relinearised(channel, s, q)) is None else [again]
