@@ -11,10 +11,10 @@ from scipy.stats import chi2
 from estimators.diagnosis.effects import CATALOGUE, Effect, Nature, Slot
 from estimators.diagnosis.effects.profiled import gained
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
-from estimators.diagnosis.model.linear import fit_linear, layout_starts
-from estimators.diagnosis.model.structure import Part, Structure
+from estimators.diagnosis.model.linear import fit_linear, fresh_poles, layout_starts, relinearised
+from estimators.diagnosis.model.structure import Part, Structure, stable_polynomial
 from estimators.diagnosis.record.measurement import switched
-from estimators.diagnosis.search.starts import Start, fitted, renewed, scored
+from estimators.diagnosis.search.starts import Start, fitted, followed, renewed, scored
 from estimators.diagnosis.share.signals import late
 from estimators.residual.algebra import least_squares
 
@@ -36,6 +36,7 @@ FORMS = 2  # layouts that are tried with several inputs, which cost a column of 
 PLAIN, LATER, CHANCE = 2, (0, 1, 2, 3, 5, 8, 13), 1e-3
 # parameters of an effect that, if it leaves nothing, is no fit of many; lags in samples at which its signals are asked what it left, and the
 # level from which on they tell something
+DRIFTS = "drifts"  # the family of what changes with time and comes back, or does not
 HOPELESS = (
     -30.0
 )  # gain after those steps below which a start is given up: a layout may fit worse than the linear model
@@ -97,8 +98,11 @@ def augmented(
     )
     yield from fits
     if needed <= 0.0 and not (fits and not base.structure.effects and explained(channel, base, fits)):
+        steady = _steady(channel, base) if any(e.family == DRIFTS for e in wanted) else None
         for e in wanted:
             yield from _own(channel, base, e, menu)
+            if steady is not None and e.family == DRIFTS:
+                yield from _own(channel, steady, e, menu)
 
 
 def _scanned(
@@ -159,6 +163,26 @@ def _sooner(channel: Channel, base: Fit) -> list[Fit]:
     if s.layout != "tf" or s.effects:
         return []
     return [fit_linear(channel, replace(s, delay=d)) for d in {s.delay // 2, 0} if d < s.delay]
+
+
+def _steady(channel: Channel, base: Fit) -> Fit | None:
+    """The linear model with the poles that changes from sample to sample show, where a slow one may have followed what drifts; of
+    which the residual then says nothing."""
+    s, y = base.structure, channel.y
+    if s.layout != "tf" or s.effects or not followed(channel, base):
+        return None
+    U = channel.u[:, list(s.inputs)]
+    keep = channel.keep & np.concatenate(([False], channel.keep[:-1]))
+    f = fresh_poles(np.diff(y, prepend=y[0]), np.diff(U, axis=0, prepend=U[:1]), s, keep)
+    if not stable_polynomial(f):
+        return None
+    q = relinearised(channel, s, np.concatenate((f, base.p[s.order :])))
+    held = np.where(np.arange(len(base.p)) < s.order, 0.0, base.scales)
+    return (
+        None
+        if q is None
+        else replace(fit(channel, s, q, held, iterations=2, colour=False), scales=base.scales)
+    )
 
 
 def explained(channel: Channel, base: Fit, fits: list[Fit]) -> bool:

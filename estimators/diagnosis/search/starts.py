@@ -23,6 +23,9 @@ SHARES = (1.0, 0.4)
 RENEWED = 4
 """Shapes of an effect whose linear part is made anew before they are compared: those whose score is best."""
 
+SLOW, MOST_RENEWED = 20.0, 12
+"""Of a record, over the memory of a pole that may follow a drift, at most; shapes that are made anew then."""
+
 QUICKLY = 8
 """Gauss-Newton steps by which a curve at the output finds its level, at most."""
 
@@ -128,7 +131,8 @@ def scored(channel: Channel, base: Fit, part: Part, best: int) -> Scored:
     found = sorted(_scores(channel, base, s, grid, Q, amplitude is not None), key=lambda x: -x.promise)
     fresh: dict[int, list[Array]] = {}  # by shape
     if part.effect.slot in (Slot.INPUT, Slot.PLANT, Slot.OUTPUT) and not base.structure.effects:
-        for k, score in enumerate(found[:RENEWED]):
+        slow = part.effect.family in ("drifts", "heat") and followed(channel, base)
+        for k, score in enumerate(found[: MOST_RENEWED if slow else RENEWED]):
             fresh[id(score.p)] = renewed(channel, s, score.p) + _of_any_size(channel, s, score.p)
             promises = [score.promise]
             for q in fresh[id(score.p)]:
@@ -162,6 +166,14 @@ def scored(channel: Channel, base: Fit, part: Part, best: int) -> Scored:
         quick = _quick(channel, s, [np.concatenate((base.p, shape)) for shape in grid], scales, base)
     promise = max((x.promise for x in (*found[:best], *quick)), default=-np.inf)
     return Scored(promise, lambda: [*map(start, found[:best]), *quick])
+
+
+def followed(channel: Channel, base: Fit) -> bool:
+    """Whether a slow pole of a linear model may have followed what drifts, so that its residual says little of that."""
+    if base.structure.layout != "tf":
+        return False
+    poles = np.roots(np.concatenate(([1.0], base.p[: base.structure.order])))
+    return bool(np.abs(poles).max(initial=0.0) > 1.0 - SLOW / len(channel))
 
 
 def _quick(channel: Channel, s: Structure, shapes: list[Array], scales: Array, base: Fit) -> list[Start]:

@@ -20,7 +20,7 @@ LAGS = ((0.03, 0.3), (0.1, 1.0), (0.7, -0.6))
 """Lags at the start of a record and by how much they grow, over the slowest time constant, that are tried."""
 CHANGES = (-0.25, 0.3, 0.8)  # relative changes of a coefficient over the record that are tried
 USES = (0.3, 1.0, 3.0)  # share of a gain that the mean input uses up, of what is left of it, that are tried
-WEARS, WORN_BY, MOST_WOUND, MOST_WORN = (1.0, 5.0, 25.0), (-1.0, 0.5, 1.0), 2.0, 4.0
+WEARS, WORN_BY, MOST_WOUND, MOST_WORN = (0.3, 1.0, 5.0, 25.0), (-1.0, 0.5, 1.0), 2.0, 4.0
 """What all that passes in a record adds to a resistance, a radius of 1, that is tried; the powers of it that a gain falls with, that are
 tried, and the largest that it grows and falls with: what is wound grows with it itself or its root, a cake under a given pressure has
 a half, a given flow through it 1, more is nearly exponential."""
