@@ -23,6 +23,8 @@ SHARES = (1.0, 0.4)
 RENEWED = 4
 """Shapes of an effect whose linear part is made anew before they are compared: those whose score is best."""
 
+SPARE, STEPS, ANEW = 2, 14, 3
+"""Poles that a linear model may have to follow what drifts; Gauss-Newton steps from poles without them, and how often they are begun anew."""
 SLOW, MOST_RENEWED = 20.0, 12
 """Of a record, over the memory of a pole that may follow a drift, at most; shapes that are made anew then."""
 
@@ -133,7 +135,8 @@ def scored(channel: Channel, base: Fit, part: Part, best: int) -> Scored:
     if part.effect.slot in (Slot.INPUT, Slot.PLANT, Slot.OUTPUT) and not base.structure.effects:
         slow = part.effect.family in ("drifts", "heat") and followed(channel, base)
         for k, score in enumerate(found[: MOST_RENEWED if slow else RENEWED]):
-            fresh[id(score.p)] = renewed(channel, s, score.p) + _of_any_size(channel, s, score.p)
+            fresh[id(score.p)] = renewed(channel, s, score.p)
+            fresh[id(score.p)] += _of_any_size(channel, s, score.p, scales) if slow else []
             promises = [score.promise]
             for q in fresh[id(score.p)]:
                 rest = _white(channel, base, channel.y - simulate(s, q, channel.u, channel.clock))
@@ -170,10 +173,12 @@ def scored(channel: Channel, base: Fit, part: Part, best: int) -> Scored:
 
 def followed(channel: Channel, base: Fit) -> bool:
     """Whether a slow pole of a linear model may have followed what drifts, so that its residual says little of that."""
-    if base.structure.layout != "tf":
-        return False
-    poles = np.roots(np.concatenate(([1.0], base.p[: base.structure.order])))
-    return bool(np.abs(poles).max(initial=0.0) > 1.0 - SLOW / len(channel))
+    return base.structure.layout == "tf" and _slow(base.p[: base.structure.order], len(channel))
+
+
+def _slow(f: Array, n: int) -> bool:
+    """Whether the slowest pole of a denominator, without its 1, remembers a share of n samples."""
+    return bool(np.abs(np.roots(np.concatenate(([1.0], f)))).max(initial=0.0) > 1.0 - SLOW / n)
 
 
 def _quick(channel: Channel, s: Structure, shapes: list[Array], scales: Array, base: Fit) -> list[Start]:
@@ -206,7 +211,8 @@ def renewed(channel: Channel, s: Structure, p: Array) -> list[Array]:
     entering = acted(s, p, channel.u, channel.clock) if found and s.layout == "tf" else None
     if entering is not None:
         # a pole too many settles where noise or a trend wants it
-        for order in range(max(s.order - 1, 1), s.order + 1):
+        fewest = s.order - (SPARE if _slow(p[: s.order], len(channel)) else 1)
+        for order in range(max(fewest, 1), s.order + 1):
             q = p.copy()
             few = replace(s, order=order, taps=min(s.taps, order), parts=())
             q[: s.order] = 0.0
@@ -216,7 +222,7 @@ def renewed(channel: Channel, s: Structure, p: Array) -> list[Array]:
     return found
 
 
-def _of_any_size(channel: Channel, s: Structure, p: Array) -> list[Array]:
+def _of_any_size(channel: Channel, s: Structure, p: Array, scales: Array) -> list[Array]:
     """The parameters with an effect at an input, and the poles, made for what it adds there as for an input of its own.
 
     Its size need not be known then: the linear model's slow pole, which followed the level of a gain that drifts, says it has none.
@@ -231,19 +237,24 @@ def _of_any_size(channel: Channel, s: Structure, p: Array) -> list[Array]:
         return []
     j = s.inputs.index(part.channel)
     U = np.column_stack((before, entering[:, j] - before[:, j]))
-    f = fresh_poles(channel.y, U, s, channel.keep)
-    if not stable_polynomial(f):
-        return []
-    y, U = channel.y - channel.y[channel.keep].mean(), U - U[channel.keep].mean(axis=0)
-    b = numerators(y, U, f, s.taps, s.delay, channel.keep).reshape(U.shape[1], s.taps)
+    y, centred = channel.y - channel.y[channel.keep].mean(), U - U[channel.keep].mean(axis=0)
     found = []
-    for size in (
-        b[j] @ b[-1] / (b[j] @ b[j]),
-        b[-1].sum() / b[j].sum(),
-    ):  # of the taps, and of what they add up to
-        q = p.copy()
-        q[: s.order], q[at] = f, p[at] * size
-        found += [] if (again := relinearised(channel, s, q)) is None else [again]
+    for order in range(max(s.order - SPARE, 1), s.order + 1):
+        few, q = replace(s, order=order, taps=min(s.taps, order)), p.copy()
+        f = fresh_poles(channel.y, U, few, channel.keep)
+        if not stable_polynomial(f):
+            continue
+        b = numerators(y, centred, f, few.taps, s.delay, channel.keep).reshape(U.shape[1], few.taps)
+        q[: s.order] = np.pad(f, (0, s.order - order))
+        sized = []
+        for size in (b[j] @ b[-1] / (b[j] @ b[j]), b[-1].sum() / b[j].sum()):  # of the taps, and in all
+            q[at] = p[at] * size
+            sized += [] if (again := relinearised(channel, s, q)) is None else [again]
+        if sized:
+            best = min(sized, key=lambda q: _squares(channel, s, q))
+            for _ in range(ANEW):  # damped anew, a fit leaves a valley in which it crept
+                best = fit(channel, s, best, scales, iterations=STEPS, colour=False).p
+            found.append(best)
     return found
 
 

@@ -24,7 +24,7 @@ WEARS, WORN_BY, MOST_WOUND, MOST_WORN = (0.3, 1.0, 5.0, 25.0), (-1.0, 0.5, 1.0),
 """What all that passes in a record adds to a resistance, a radius of 1, that is tried; the powers of it that a gain falls with, that are
 tried, and the largest that it grows and falls with: what is wound grows with it itself or its root, a cake under a given pressure has
 a half, a given flow through it 1, more is nearly exponential."""
-AGEING = (0.05, 0.15, 0.4, 2.0)
+AGEING = (0.05, 0.1, 0.2, 0.4, 0.8, 2.0)
 """What a gain that settles has more of itself at the record's start than at the end, and its time constants in records, that are tried."""
 RESETS, SHORTEST, LEAST_CYCLES = 24, 3.0, 1.5
 """Instants within a cycle at which a gain may begin its course anew that are tried; samples of the shortest cycle, and how many a record has at least."""
