@@ -322,7 +322,8 @@ def test_a_sensor_of_two_decades_is_a_logarithm_found_by_undoing_the_curve() -> 
         x = lfilter([0.05], [1.0, -0.95], u - u[0]) + u[0]
         return Record(u, 5.0 + 0.41 * np.log(0.02 * x + 0.02) + 0.01 * rng.standard_normal(n))
 
-    result = diagnose(gauge(1000), gauge(500), Setting(deviations=False, separate=True))
+    curves = "output_logarithm", "output_exponential", "output_quadratic", "output_arctan", "input_quadratic"
+    result = diagnose(gauge(1000), gauge(500), looking_for(*curves, deviations=False, separate=True))
     assert (result.effect, result.variant) == ("output_nonlinearity", "output_logarithm")
     assert result.rmse_after.value < 1.2 * 0.01
     value, error, _ = result.parameters["output_logarithm.c"]
@@ -381,9 +382,10 @@ def test_what_explodes_where_its_run_is_wanted_is_not_chosen():
     y = swing(lambda x, v, f, t: 0.06 * (f - x) - 0.3 * np.exp(-t / 800.0) * v, u)
     y = y + 0.25 * np.std(y) * rng.standard_normal(2 * n)
     train, test = Record(u[:n], y[:n]), Record(u[n:], y[n:], t0=float(n))
-    found = diagnose(train, test, Setting(effects=tuple(map(named, ("damping_drift", "damping_settles")))))
+    either = looking_for("damping_drift", "damping_settles")
+    found = diagnose(train, test, either)
     assert found.effect == "parameter_drift"
     assert "damping_settles" in found.variant
     assert found.rmse_after.value < 0.4 * found.rmse_before.value
-    alone = diagnose(train, None, Setting(effects=tuple(map(named, ("damping_drift", "damping_settles")))))
+    alone = diagnose(train, None, either)
     assert "damping_drift" in alone.variant

@@ -154,7 +154,7 @@ def rig(force, n=900, noise=0.02, seed=0, colour=0.0) -> Record:
 def test_a_hardening_spring_is_found_in_the_users_units() -> None:
     record = rig(lambda x, v: 1.6 * x**3)
     base = best_linear([record])
-    found = discover([record], base, "quick")
+    found = discover([record], base, of_orders(2))
     assert found.found
     assert found.nature == "dynamic nonlinearity"
     assert float(found.rmse_unused[0]) < 0.4 * float(base.rmse_unused[0])
@@ -225,7 +225,7 @@ def test_an_output_that_the_input_reaches_later_holds_up_no_other(monkeypatch) -
 @pytest.mark.parametrize("colour", [0.0, 0.9])
 def test_a_linear_rig_yields_nothing(colour) -> None:
     record = rig(lambda x, v: 0.0, noise=0.1, seed=4, colour=colour)
-    assert not discover([record], best_linear([record]), "quick").found
+    assert not discover([record], best_linear([record]), of_orders(2)).found
 
 
 @pytest.mark.validate

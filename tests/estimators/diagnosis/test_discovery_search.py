@@ -39,7 +39,7 @@ def test_a_product_with_a_difference_is_found(units: tuple[str, ...]) -> None:
     """Flow times the difference of two temperatures: chains of four states mimicked it and crowded the short one out, and neither
     product explains much without the other; the room had no answer. Where both have one unit it is one term."""
     record = replace(ventilated(1), input_units=units, output_units=units[1:2])
-    found = discover([record], best_linear([record], Options()), "quick")
+    found = discover([record], best_linear([record], Options()), of_orders(1))
     assert found.rmse_unused[0] < 0.03
     assert {t.same_as for t in found.terms[: 1 if units[1] else 2]} == {"bilinear"}
     assert CARRIED in {t.meaning for t in found.terms[:2]}
