@@ -77,7 +77,7 @@ def test_a_rig_by_files(tmp_path, monkeypatch):
     assert left["figures"] == 2
 
 
-@pytest.mark.slow
+@pytest.mark.validate
 def test_the_temperature_lab():
     pytest.importorskip("tclab", reason="the rig extra is not installed: pip install tclab")
     lab = example("temperature_lab")

@@ -67,7 +67,7 @@ PLANT_VERBS: dict[str, Any] = {
     "autoregressive_design": lambda p: designs.autoregressive_design(p, "D", order=2).loss,
     "basis_design": lambda p: designs.basis_design(p, "D").loss,
     "moment_design": lambda p: designs.moment_design(p, "D").loss,
-    "masked_design": lambda p: designs.masked_design(p, "D").loss,
+    "masked_design": lambda p: designs.masked_design(p, "D", tolerance=1e-3).loss,
     "least_power_design": lambda p: designs.least_power_design(p, "A", 1.0).spectrum.total_power,
     "robust_design": lambda p: designs.robust_design([p], "D").loss,
     "quantile_design": lambda p: designs.quantile_design([p], "A").design.loss,

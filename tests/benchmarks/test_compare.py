@@ -37,6 +37,7 @@ def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("compare")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(comparison, "HEAD_TO_HEAD_PLANTS", 6)
+        patch.setattr(comparison, "FIG3_REPLICATES", 20)
         early = []
         look = lambda result: early.append((result, (folder / "figures").exists(), result.page))
         result = compare(**SIZE, out=folder, jobs=1, tell=look)
@@ -60,7 +61,7 @@ def test_every_row_has_its_keys_and_errors(finished):
         assert row["samples"] == 800
         assert np.isclose(row["energy"], 800)
         assert 0 <= row["c_efficiency"] <= 1 + 1e-6
-        assert row["n"] == 6
+        assert row["n"] == SIZE["replicates"]
 
 
 @pytest.mark.slow

@@ -28,11 +28,11 @@ def files(folder: Path) -> dict[str, bytes]:
 
 @pytest.fixture(scope="module")
 def twice(tmp_path_factory) -> list[Path]:
-    """The same three cases, written two times, and with another seed."""
+    """Three cases, the first two of them written again, and with another seed."""
     folders = []
-    for seed in (SEED, SEED, SEED + 1):
+    for seed, count in ((SEED, 3), (SEED, 2), (SEED + 1, 2)):
         folders.append(tmp_path_factory.mktemp("rigs"))
-        for name in ("two_outlets", "linear_level", "mixing_tap"):
+        for name in ("two_outlets", "linear_level", "mixing_tap")[:count]:
             case = draw(name, seed)
             write(folders[-1], numbered(seed)[name], case, *truth_of(case))
     return folders
@@ -42,7 +42,8 @@ def twice(tmp_path_factory) -> list[Path]:
 def test_a_seed_gives_the_same_files_bit_for_bit(twice) -> None:
     one, again, other = map(files, twice)
     assert len(one) == 15
-    assert one == again
+    assert len(again) == 10
+    assert again.items() <= one.items()
     assert not set(one.values()) & set(other.values())
 
 

@@ -7,14 +7,15 @@ import pytest
 from scipy.signal import lfilter
 
 from estimators.diagnosis.cases import COUNTED, Columns, _in_units, diagnose_files, setting_of_meta
-from estimators.diagnosis.policy import Effort, Setting
 from oed.data import Record
 from oed.errors import InputError
+from tests.estimators.diagnosis.case_small import looking_for, two_poles
 
 
 @pytest.fixture
-def case(tmp_path):
+def case(tmp_path, monkeypatch):
     """Two records without a clock, the second from a start out of equilibrium, and how their description is written."""
+    two_poles(monkeypatch)
     rng = np.random.default_rng(1)
     for name, n, start in (("train", 400, 0.0), ("test", 300, 4.0)):
         u = rng.standard_normal(n)
@@ -26,9 +27,8 @@ def case(tmp_path):
     def diagnosed(meta: dict, **given):
         (tmp_path / "meta.json").write_text(json.dumps(meta))
         files = [tmp_path / name for name in ("train.csv", "test.csv", "meta.json")]
-        return diagnose_files(
-            files[0], files[1], meta=files[2], setting=Setting(effort=Effort.QUICK), **given
-        )
+        few = looking_for("saturation")
+        return diagnose_files(files[0], files[1], meta=files[2], setting=few, **given)
 
     return diagnosed
 

@@ -13,6 +13,7 @@ from estimators.diagnosis.cases import diagnose_files
 from estimators.diagnosis.discovery import Discovery
 from estimators.diagnosis.loop import Setting, diagnose
 from estimators.diagnosis.model.fitting import ar_model
+from estimators.diagnosis.policy import Effort
 from estimators.diagnosis.record.measurement import (
     held_samples,
     lost_samples,
@@ -25,6 +26,7 @@ from estimators.diagnosis.search import discoveries
 from estimators.diagnosis.search.selection import feedback_test
 from oed.data import Record
 from oed.errors import InputError
+from tests.estimators.diagnosis.case_small import looking_for
 
 CASES = os.environ.get("OED_CASES")
 
@@ -42,7 +44,8 @@ SETTING = Setting(orders=(2,), structure="SISO")
 def test_nothing_is_found_in_a_linear_record():
     # negative control: the next test plants a nonlinearity in the same record
     rng = np.random.default_rng(11)
-    result = diagnose(linear_record(rng, 500), linear_record(rng, 400, start=600), SETTING)
+    quick = replace(SETTING, effort=Effort.QUICK)
+    result = diagnose(linear_record(rng, 400), linear_record(rng, 300, start=600), quick)
     assert not result.detected
     assert result.ranked == ("none",)
     np.testing.assert_array_equal(result.yhat_before, result.yhat_after)
@@ -63,11 +66,12 @@ def asked(monkeypatch) -> list[tuple]:
 
 def test_terms_are_looked_for_only_where_something_is_left(asked):
     rng = np.random.default_rng(11)
-    diagnose(linear_record(rng, 500), None, SETTING)
+    few = looking_for("saturation", "output_cubic", orders=(2,), structure="SISO")
+    diagnose(linear_record(rng, 500), None, few)
     assert not asked
     late = linear_record(rng, 500)
     coloured = lfilter([1.0], [1.0, -0.9], 0.1 * rng.standard_normal(500))
-    diagnose(late.replace(y=late.y + coloured[:, None]), None, SETTING)
+    diagnose(late.replace(y=late.y + coloured[:, None]), None, few)
     assert len(asked) == 1  # noise that is not white could be a term
 
 
@@ -107,7 +111,8 @@ def test_wild_samples_of_a_long_record_are_left_out_of_the_answer():
     clean = lfilter([0.0, 0.1, 0.1], [1.0, -1.5, 0.7], test.u[:, 0])
     y = train.y.copy()
     y[rng.choice(6000, 200, replace=False), 0] += 3.0
-    result = diagnose(train.replace(y=y), test, SETTING)
+    few = looking_for("outliers", "saturation", "output_cubic", orders=(2,), structure="SISO")
+    result = diagnose(train.replace(y=y), test, few)
     assert result.effect == "outliers"
     before, after = (np.std(yhat[:, 0] - clean) for yhat in (result.yhat_before, result.yhat_after))
     assert after < 0.5 * before

@@ -21,10 +21,10 @@ from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.linear import fit_linear, plant_scales
 from estimators.diagnosis.model.simulation import ENDS, simulate
 from estimators.diagnosis.model.structure import Part, Structure
-from estimators.diagnosis.policy import Effort, Setting
 from estimators.diagnosis.search.named import linear_step
 from estimators.diagnosis.search.naming import MUST, as_shown, bending
 from oed.data import Record
+from tests.estimators.diagnosis.case_small import looking_for
 
 N = 800
 CLOCK = Clock(np.arange(float(N)), N)
@@ -133,7 +133,7 @@ def test_two_measurements_of_one_thing_are_no_closed_loop(rng) -> None:
             lfilter([1.0, -0.3], [1.0, -0.5], shaken) + 0.15 * rng.standard_normal(n),
         )
 
-    d = diagnose(record(600), record(400), Setting(effort=Effort.QUICK))
+    d = diagnose(record(600), record(400), looking_for("feedback", "input_quadratic", "saturation"))
     assert d.effect in ("none", "coloured_noise")
     assert "closed_loop" not in d.ranked
     assert "in two measurements of one thing" in str(d).splitlines()[0]

@@ -16,7 +16,6 @@ from estimators.diagnosis.effects.kernels.recursion_kernels import levelled, rel
 from estimators.diagnosis.effects.kernels.spline_kernels import read_between
 from estimators.diagnosis.effects.loops import slowest_rate
 from estimators.diagnosis.effects.path import INITIAL
-from estimators.diagnosis.loop import diagnose
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.simulation import simulate
@@ -24,7 +23,6 @@ from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.search.candidates import Menu, augmented
 from estimators.diagnosis.search.free_runs import Start, free_run, lead_in
 from estimators.diagnosis.search.selection import significance
-from oed.data import Record
 from tests.estimators.diagnosis.case_effects import LINEAR
 from tests.estimators.diagnosis.case_hidden import ALL_CLASSES, ALL_LOOKALIKES
 from tests.estimators.diagnosis.case_parts import excitation, read
@@ -146,25 +144,6 @@ def test_samples_that_are_lost_several_times_are_counted_each_time():
 def test_a_class_does_not_explain_what_only_looks_like_it(key, of):
     found, _, noise = fits(key, of)
     assert not found or error(found[0]) > 1.5 * noise
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("key", ["bilinear", *(pytest.param(k, marks=pytest.mark.validate) for k in ("product_of_inputs", "capacity_filled"))])  # fmt: skip
-def test_effects_of_two_inputs_are_named_and_removed_and_linear_records_are_left_alone(key):
-    """Two experiments each, the control in noise of 5 % with a pole at 0.8: one record, false-alarm rate 1 %."""
-    maker, _, signal = ALL_CLASSES[key]
-
-    def drawn(seed, strength, noise, pole):
-        rng = np.random.default_rng([seed, *key.encode()])
-        u = excitation(rng, 800, **signal)
-        y = maker(u, strength)
-        e = lfilter([1.0], [1.0, -pole], rng.standard_normal(800))
-        return Record(u, y + noise * np.std(y) * e / np.std(e), 0.1)
-
-    found = diagnose(drawn(1, 1.0, 0.01, 0.0), drawn(2, 1.0, 0.01, 0.0))
-    assert found.effect == named(key).cause
-    assert found.rmse_after.value < 0.2 * found.rmse_before.value
-    assert diagnose(drawn(1, 0.0, 0.05, 0.8)).nature == "noise"
 
 
 def test_a_recycle_is_found_by_its_share_and_delay_and_goes_round_as_its_equation_says():

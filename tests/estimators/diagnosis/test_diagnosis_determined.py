@@ -32,6 +32,7 @@ from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.policy import Setting
 from estimators.diagnosis.result.report import ErrorFigure
 from oed.data import Record
+from tests.estimators.diagnosis.case_small import looking_for
 
 RNG = np.random.default_rng(7)
 X, NOISE = RNG.standard_normal((2, 200))
@@ -107,7 +108,7 @@ def _held(seed: int) -> Record:
 def test_the_answer_is_compared_with_all_that_a_holding_sensor_shows() -> None:
     """The record that a sensor shows which renews its value every few samples: the error after is of all samples, and far less."""
     train, test = (_held(seed) for seed in (3, 4))
-    found = diagnose(train, test)
+    found = diagnose(train, test, looking_for("held", "refreshed", "quantised"))
     assert found.effect == "dropouts"
     error = float(np.sqrt(np.mean((found.yhat_after[:, 0] - test.y[:, 0]) ** 2)))
     assert found.rmse_after.value == pytest.approx(error, rel=1e-9)
@@ -135,7 +136,8 @@ def test_an_answer_that_the_test_record_refuses_gives_way_to_the_linear_model_an
     rng = np.random.default_rng(5)
     u, v = np.repeat(rng.uniform(-2, 2, (2, 150)), 4, axis=1)
     plant = lambda x: lfilter([0.0, 0.2], [1.0, -0.8], x) + 0.01 * rng.standard_normal(len(x))
-    found = diagnose(Record(u, plant(np.clip(u, -0.8, 0.8))), Record(v, plant(v)))
+    few = looking_for("saturation", "input_tanh", "output_clip")
+    found = diagnose(Record(u, plant(np.clip(u, -0.8, 0.8))), Record(v, plant(v)), few)
     assert found.rmse_after.value == found.rmse_before.value
     assert found.effect == "unknown"
     assert any("this one thing the test record chose" in words for words in found.warnings)
@@ -157,7 +159,9 @@ def _consumed(seed: int, start: int) -> Record:
 @pytest.mark.slow
 def test_no_pole_rings_in_place_of_a_cycle_that_nobody_logs() -> None:
     """With a pole more than the plant has, which would take the cycle for its own."""
-    found = diagnose(_consumed(1, 0), _consumed(2, 1000), Setting(orders=(3,)))
+    found = diagnose(
+        _consumed(1, 0), _consumed(2, 1000), looking_for("tones", "waveform", "mode", orders=(3,))
+    )
     assert found.effect == "periodic_disturbance"
     assert found.rmse_after.value < 0.5 * found.rmse_before.value
 

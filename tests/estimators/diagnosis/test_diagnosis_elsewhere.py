@@ -10,8 +10,10 @@ from estimators import diagnose
 from estimators.diagnosis.result.answers import ThroughAnswer
 from estimators.diagnosis.result.model import DiagnosedModel
 from oed.data import Record
+from tests.estimators.diagnosis.case_small import looking_for
 
 pytestmark = pytest.mark.slow
+SPRINGS = looking_for("stiffness_cubic", "stiffness_square", "output_cubic", "drag", "saturation")
 
 
 def _record(seed: int, samples: int = 900, k3: float = 0.6) -> Record:
@@ -33,7 +35,7 @@ def _record(seed: int, samples: int = 900, k3: float = 0.6) -> Record:
 
 @pytest.fixture(scope="module")
 def found():
-    return diagnose(_record(1), _record(2))
+    return diagnose(_record(1), _record(2), SPRINGS)
 
 
 def test_the_second_output_is_told_through_the_first(found) -> None:
@@ -64,4 +66,4 @@ def test_outputs_with_nothing_in_common_keep_their_own_models() -> None:
     for k in range(1, len(record)):
         y2[k] = 0.8 * y2[k - 1] + 0.2 * record.u[k - 1, 0]
     alone = record.replace(y=np.column_stack((record.y[:, 0], y2 + 0.01 * rng.standard_normal(len(record)))))
-    assert not any(isinstance(a, ThroughAnswer) for a in diagnose(alone).model.answers)
+    assert not any(isinstance(a, ThroughAnswer) for a in diagnose(alone, None, SPRINGS).model.answers)

@@ -7,8 +7,8 @@ from scipy.linalg import expm
 from estimators import diagnose
 from estimators.diagnosis.effects import named
 from estimators.diagnosis.effects.loops.ageing import leaky
-from estimators.diagnosis.policy import Setting
 from oed.data import Record
+from tests.estimators.diagnosis.case_small import looking_for
 
 
 def drives(seed: int, n: int = 700) -> Record:
@@ -28,7 +28,8 @@ def drives(seed: int, n: int = 700) -> Record:
 @pytest.mark.slow
 def test_the_order_behind_a_fold_is_not_that_of_a_model_that_sees_nothing_of_it() -> None:
     """The linear model had one pole: behind the magnitude two were looked for, and .134 of .33 was left where .003 is noise."""
-    found = diagnose(drives(1), drives(2), Setting(skip=20))
+    folds = "magnitude", "squared", "rectified", "output_absolute", "output_quadratic"
+    found = diagnose(drives(1), drives(2), looking_for(*folds, skip=20))
     assert found.effect == "magnitude_sensor"
     assert found.rmse_after.value < 0.05 * found.rmse_before.value
 

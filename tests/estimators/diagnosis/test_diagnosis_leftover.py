@@ -8,6 +8,7 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline import blocks_of
 from estimators.diagnosis.baseline.linear_model import Prior
+from estimators.diagnosis.discovery import BUDGETS
 from estimators.diagnosis.effects import Clock, named
 from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.effects.path import INITIAL
@@ -28,8 +29,18 @@ from estimators.diagnosis.search.free_runs import Start, blocked, start_of
 from oed.data import Record
 from oed.errors import InputError
 from tests.estimators.diagnosis.case_linear import linear_case
+from tests.estimators.diagnosis.case_small import looking_for, of_orders
 
 SETTING = Setting(orders=(2,), structure="SISO")
+VARYING = (
+    "gain_periodic",
+    "output_gain_periodic",
+    "gain_drift",
+    "gain_change",
+    "resonance_drift",
+    "tones",
+    "input_cubic",
+)
 B, A = [0.0, 0.1, 0.1], [1.0, -1.5, 0.7]
 
 
@@ -49,14 +60,23 @@ def channel_of(record):
 
 
 @pytest.mark.parametrize(
-    "options, nature",
-    [({"sway": 0.25, "wander": 2.5}, "time variation"), ({"burst": 1.5}, "noise")],
-    ids=["gain that sways at no one frequency", "noise that swells"],
+    "options, nature, known",
+    [
+        (
+            {"sway": 0.25, "wander": 2.5},
+            "time variation",
+            looking_for(*VARYING, orders=(2,), structure="SISO"),
+        ),
+        ({"burst": 1.5}, "noise", replace(SETTING, effort=Effort.QUICK)),
+        pytest.param({"sway": 0.25, "wander": 2.5}, "time variation", SETTING, marks=pytest.mark.validate),
+    ],
+    ids=["gain that sways at no one frequency", "noise that swells", "gain that sways, by the catalogue"],
 )
 @pytest.mark.slow
-def test_a_cause_in_no_catalogue_is_reported_by_its_nature(options, nature):
+def test_a_cause_in_no_catalogue_is_reported_by_its_nature(monkeypatch, options, nature, known):
+    monkeypatch.setitem(BUDGETS, "quick", of_orders(2))
     rng = np.random.default_rng(5)
-    result = diagnose(drawn(rng, 800, **options), drawn(rng, 500, start=900, **options), SETTING)
+    result = diagnose(drawn(rng, 800, **options), drawn(rng, 400, start=900, **options), known)
     assert result.detected
     assert result.effect == "unknown"
     assert result.nature == nature
@@ -106,7 +126,7 @@ def test_blocks_held_out_show_what_overfitting_hides():
 
 def test_without_a_test_record_blocks_are_held_out():
     rng = np.random.default_rng(8)
-    result = diagnose(drawn(rng, 400), None, SETTING)
+    result = diagnose(drawn(rng, 400), None, looking_for("saturation", orders=(2,), structure="SISO"))
     assert "cross-validation" in result.held_out
     assert len(result.yhat_before) == 400
     assert result.rmse_before.value == pytest.approx(0.05, rel=0.15)  # the noise
@@ -116,7 +136,9 @@ def test_blocks_are_held_out_of_a_record_that_is_no_deviation():
     rng = np.random.default_rng(9)
     record = drawn(rng, 400)
     away = record.replace(u=record.u + 3.0, y=record.y + 20.0)  # starts far from rest and has an offset
-    result = diagnose(away, None, replace(SETTING, deviations=False))
+    result = diagnose(
+        away, None, looking_for("offset", "initial", orders=(2,), structure="SISO", deviations=False)
+    )
     assert result.rmse_before.value == pytest.approx(0.05, rel=0.2)
 
 

@@ -22,7 +22,7 @@ from estimators.diagnosis.loop import Setting, diagnose
 from estimators.diagnosis.model.fitting import Channel, fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
-from estimators.diagnosis.policy import Policy
+from estimators.diagnosis.policy import Effort, Policy
 from estimators.diagnosis.record.leftover import leftovers
 from estimators.diagnosis.search import few as stage
 from estimators.diagnosis.search import named as searched
@@ -32,6 +32,7 @@ from estimators.diagnosis.search.selection import Attribution
 from oed.data import Record
 from oed.errors import InputError
 from tests.estimators.diagnosis.case_parts import swing
+from tests.estimators.diagnosis.case_small import looking_for
 
 CAUSES = {e.cause for e in CATALOGUE}
 
@@ -54,15 +55,19 @@ def test_a_compressive_sensor_is_named_beside_coloured_noise(rng) -> None:
 
 @pytest.mark.slow
 def test_nothing_is_claimed_of_a_linear_plant_in_the_same_noise(rng) -> None:
-    result = diagnose(logged(rng, 900, False), logged(rng, 500, False), Setting(deviations=False, skip=20))
+    setting = Setting(deviations=False, skip=20, effort=Effort.QUICK)
+    result = diagnose(logged(rng, 500, False), logged(rng, 400, False), setting)
     assert result.effect in ("none", "coloured_noise")
 
 
 @pytest.mark.slow
 def test_several_training_records_are_one_diagnosis(rng) -> None:
-    records = [logged(rng, n, True) for n in (500, 700)]
-    test = logged(rng, 500, True)
-    result = diagnose(records, test, Setting(deviations=False, skip=20))
+    records = [logged(rng, n, True) for n in (300, 400)]
+    test = logged(rng, 300, True)
+    setting = looking_for(
+        "output_arctan", "output_tanh", "output_clip", "saturation", deviations=False, skip=20
+    )
+    result = diagnose(records, test, setting)
     assert result.effect == "output_nonlinearity"
     assert result.rmse_after.value < 0.5 * result.rmse_before.value
     assert len(result.ladder) > 1
@@ -247,7 +252,8 @@ def test_a_start_is_judged_on_the_record_as_it_is_where_the_input_acts_at_once(r
         return asked[-1][-1]
 
     monkeypatch.setattr(Bench, "stands", kept)
-    found = diagnose(Record(u, lfilter([0.3], [1.0, -0.7], np.clip(u, -0.7, 0.7)) + e))
+    y = lfilter([0.3], [1.0, -0.7], np.clip(u, -0.7, 0.7)) + e
+    found = diagnose(Record(u, y), None, looking_for("saturation", "input_tanh", "delay"))
     assert found.effect == "input_saturation"
     assert next(told for told in asked if told[1]) == (True, True, True)
 
@@ -316,7 +322,8 @@ def test_a_sensor_of_two_decades_is_a_logarithm_found_by_undoing_the_curve() -> 
         x = lfilter([0.05], [1.0, -0.95], u - u[0]) + u[0]
         return Record(u, 5.0 + 0.41 * np.log(0.02 * x + 0.02) + 0.01 * rng.standard_normal(n))
 
-    result = diagnose(gauge(1000), gauge(500), Setting(deviations=False, separate=True))
+    curves = "output_logarithm", "output_exponential", "output_quadratic", "output_arctan", "input_quadratic"
+    result = diagnose(gauge(1000), gauge(500), looking_for(*curves, deviations=False, separate=True))
     assert (result.effect, result.variant) == ("output_nonlinearity", "output_logarithm")
     assert result.rmse_after.value < 1.2 * 0.01
     value, error, _ = result.parameters["output_logarithm.c"]
@@ -360,7 +367,8 @@ def test_a_saturated_input_is_no_actuator_slower_than_its_record() -> None:
     """Where its lag was longer than the record, a limited rate was a saturation before an integrator, of which the plant's poles made none."""
     u, e = np.random.default_rng(1000).normal(size=(2, 1000))
     y = lfilter([0.0, 0.2155, 0.2012], [1.0, -0.9854, 0.8187], np.clip(u, -0.8, 0.8))
-    result = diagnose(Record(u, y + 0.05 * e))
+    rivals = looking_for("saturation", "input_tanh", "rate_limit", "rate_limit_sampled", "rate_in_loop")
+    result = diagnose(Record(u, y + 0.05 * e), None, rivals)
     assert (result.effect, result.variant) == ("input_saturation", "saturation")
     value, error, _ = result.parameters["saturation.limit"]
     assert value == pytest.approx(0.8, abs=4.0 * error)
@@ -374,9 +382,10 @@ def test_what_explodes_where_its_run_is_wanted_is_not_chosen():
     y = swing(lambda x, v, f, t: 0.06 * (f - x) - 0.3 * np.exp(-t / 800.0) * v, u)
     y = y + 0.25 * np.std(y) * rng.standard_normal(2 * n)
     train, test = Record(u[:n], y[:n]), Record(u[n:], y[n:], t0=float(n))
-    found = diagnose(train, test, Setting(effects=tuple(map(named, ("damping_drift", "damping_settles")))))
+    either = looking_for("damping_drift", "damping_settles")
+    found = diagnose(train, test, either)
     assert found.effect == "parameter_drift"
     assert "damping_settles" in found.variant
     assert found.rmse_after.value < 0.4 * found.rmse_before.value
-    alone = diagnose(train, None, Setting(effects=tuple(map(named, ("damping_drift", "damping_settles")))))
+    alone = diagnose(train, None, either)
     assert "damping_drift" in alone.variant

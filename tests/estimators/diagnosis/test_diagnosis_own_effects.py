@@ -4,11 +4,15 @@ import numpy as np
 import pytest
 
 from estimators import diagnose
-from estimators.diagnosis.effects import CATALOGUE, Effect, Nature, Slot
+from estimators.diagnosis.effects import CATALOGUE, Effect, Nature, Slot, named
 from estimators.diagnosis.loop import Setting
+from estimators.diagnosis.policy import Effort
 from oed.data import Record
 from oed.errors import InputError
 
+RIVALS = tuple(
+    map(named, ("pendulum", "position_periodic", "stiffness_cubic", "stiffness_square", "coulomb", "drag"))
+)
 COMPLETE = {"key": "mine", "cause": "mine", "nature": Nature.DYNAMIC, "sentence": "it acts"}
 
 
@@ -61,7 +65,7 @@ def test_an_effect_of_ones_own_is_found_and_only_where_it_is(level):
     u = np.repeat(rng.uniform(-1.5, 1.5, 150), 8)
     y = _pendulum(u, level) + 0.01 * rng.standard_normal(len(u))
     result = diagnose(Record(u[:800], y[:800], 1.0), Record(u[800:], y[800:], 1.0, t0=900.0),
-                      Setting(orders=(2,)), effects=[*CATALOGUE, mine])  # fmt: skip
+                      Setting(orders=(2,), effort=Effort.QUICK), effects=[*RIVALS, mine])  # fmt: skip
     if level:
         assert result.effect == "ripple"
         value, error, unit = result.parameters["ripple.a"]

@@ -26,6 +26,7 @@ from estimators.diagnosis.result.report import ErrorFigure
 from estimators.diagnosis.search.candidates import Menu, augmented
 from estimators.residual.algebra import mean_error
 from oed.data import Record
+from tests.estimators.diagnosis.case_small import looking_for
 
 
 def fits(seed: int, size: float):
@@ -114,7 +115,8 @@ def test_the_removed_fraction_has_an_interval_and_never_rests_on_a_bound():
         u = rng.standard_normal((n, 1))
         y = lfilter([0.0, 0.4], [1.0, -0.6], np.clip(u[:, 0], -0.9, 0.9)) + 0.02 * rng.standard_normal(n)
         records.append(Record(u, y[:, None]))
-    found = diagnose(*records, Setting(orders=(1,), structure="SISO", separate=True))
+    few = looking_for("saturation", "dead_zone", orders=(1,), structure="SISO", separate=True)
+    found = diagnose(*records, few)
     low, high = found.removed_interval
     assert found.effect == "input_saturation"
     assert not found.floor_is_bound

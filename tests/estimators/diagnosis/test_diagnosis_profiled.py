@@ -20,7 +20,9 @@ from estimators.diagnosis.search.named import LEFT
 from estimators.diagnosis.search.selection import significance
 from oed.data import Record
 from tests.estimators.diagnosis.case_classes import CLASSES
+from tests.estimators.diagnosis.case_hidden import ALL_CLASSES
 from tests.estimators.diagnosis.case_parts import PLANT, excitation
+from tests.estimators.diagnosis.case_small import looking_for
 
 PROFILED = (
     "rate_limit_servo", "input_staircase", "gain_periodic", "stiffness_periodic", "pulse_input", "clearance_sprung", "lag_drift",
@@ -101,14 +103,13 @@ def test_an_actuator_that_stands_on_a_level_stays_there(key):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "key",
+    "key, rivals",
     [
-        key if key == "gain_periodic" else pytest.param(key, marks=pytest.mark.validate)
-        for key in PROFILED
-        if key in CLASSES
+        ("gain_periodic", ("stiffness_periodic", "tones", "pulse_input", "gain_drift", "gain_change", "input_cubic")),
+        *(pytest.param(key, (), marks=pytest.mark.validate) for key in PROFILED if key in CLASSES),
     ],
-)
-def test_each_is_named_and_removed_and_the_same_rig_without_it_is_left_alone(key):
+)  # fmt: skip
+def test_each_is_named_and_removed_and_the_same_rig_without_it_is_left_alone(key, rivals):
     """Two experiments each, the control in noise of 5 % with a pole at 0.8: one record, false-alarm rate 1 %.
 
     A stair of the test record whose edge no training sample came near may be taken one too high or low: what is left hangs on
@@ -124,10 +125,37 @@ def test_each_is_named_and_removed_and_the_same_rig_without_it_is_left_alone(key
         both = Record(u, y + noise * np.std(y) * e / np.std(e), 0.1)
         return both[:800], both[900:].replace(t0=90.0)
 
-    found = diagnose(*drawn(1.0, 0.01, 0.0))
+    setting = looking_for(key, *rivals) if rivals else Setting()
+    found = diagnose(*drawn(1.0, 0.01, 0.0), setting)
     assert (found.effect, found.variant.split(", ")[0]) == (named(key).cause, key)
     assert found.rmse_after.value < (0.4 if key == "input_staircase" else 0.1) * found.rmse_before.value
-    assert diagnose(drawn(0.0, 0.05, 0.8)[0]).nature == "noise"
+    assert diagnose(drawn(0.0, 0.05, 0.8)[0], None, setting).nature == "noise"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "key, rivals",
+    [
+        ("bilinear", ("product_of_inputs", "capacity_filled", "gain_heat", "loss", "input_quadratic", "gain_drift")),
+        *(pytest.param(k, (), marks=pytest.mark.validate) for k in ("bilinear", "product_of_inputs", "capacity_filled")),
+    ],
+)  # fmt: skip
+def test_effects_of_two_inputs_are_named_and_removed_and_linear_records_are_left_alone(key, rivals):
+    """Two experiments each, the control in noise of 5 % with a pole at 0.8: one record, false-alarm rate 1 %."""
+    maker, _, signal = ALL_CLASSES[key]
+
+    def drawn(seed, strength, noise, pole):
+        rng = np.random.default_rng([seed, *key.encode()])
+        u = excitation(rng, 800, **signal)
+        y = maker(u, strength)
+        e = lfilter([1.0], [1.0, -pole], rng.standard_normal(800))
+        return Record(u, y + noise * np.std(y) * e / np.std(e), 0.1)
+
+    setting = looking_for(key, *rivals) if rivals else Setting()
+    found = diagnose(drawn(1, 1.0, 0.01, 0.0), drawn(2, 1.0, 0.01, 0.0), setting)
+    assert found.effect == named(key).cause
+    assert found.rmse_after.value < 0.2 * found.rmse_before.value
+    assert diagnose(drawn(1, 0.0, 0.05, 0.8), None, setting).nature == "noise"
 
 
 def test_a_servo_takes_the_pole_that_the_linear_model_had_for_its_lag():
@@ -183,14 +211,19 @@ def test_no_passing_disturbance_explains_slow_noise_as_one_that_is_there_does(ra
     "response", [[0.0, 1.0, 0.5], [2.0], [1.0, 0.5, 0.25]], ids=["filter", "gain", "mean"]
 )
 @pytest.mark.parametrize(
-    "kind", ["noise", *(pytest.param(k, marks=pytest.mark.validate) for k in ("step", "signs"))]
-)
-def test_a_record_without_any_noise_is_diagnosed(response, kind):
+    "kind, known",
+    [
+        ("noise", looking_for("gain_periodic", "gain_change", "step_output", "output_staircase", "quantised", "saturation")),
+        *(pytest.param(k, Setting(), marks=pytest.mark.validate) for k in ("noise", "step", "signs")),
+    ],
+    ids=["noise", "noise, the catalogue", "step", "signs"],
+)  # fmt: skip
+def test_a_record_without_any_noise_is_diagnosed(response, kind, known):
     """Nothing is left of it, and so nothing gained by any effect, whatever rounding leaves: what was gained had been a logarithm of
     0 / 0; of a gain a period of 1 / 0 was tried, of a step a share of nothing taken, of an output of few values its rounding."""
     noise = np.random.default_rng(0).standard_normal(300)
     u = {"noise": noise, "step": 1.0 * (np.arange(300) > 40), "signs": np.sign(noise)}[kind]
-    result = diagnose(Record(u, np.convolve(u, response)[:300]))
+    result = diagnose(Record(u, np.convolve(u, response)[:300]), None, known)
     assert result.nature == "none"
     assert all("rests" in observed for observed in result.data)
     assert result.system.startswith("nothing is missing")
@@ -221,7 +254,8 @@ def test_the_gain_of_one_of_two_inputs_changes_on_a_level():
     u[:20] = 45.0
     through = np.column_stack((u[:, 0], u[:, 1] * (1.0 - 0.33 * (np.arange(n) >= 400)))) @ [4.4, 4.2]
     y = lfilter([0.0, 0.05], [1.0, -0.95], through, zi=[0.95 * through[0]])[0]
-    found = diagnose(Record(u, 150.0 + y + rng.standard_normal(n)))
+    rivals = "gain_change", "gain_drift", "step_output", "timescale_change", "bilinear", "drift"
+    found = diagnose(Record(u, 150.0 + y + rng.standard_normal(n)), None, looking_for(*rivals))
     assert found.effect == "parameter_change"
     assert found.parameters["gain_change.change"][0] == pytest.approx(-0.33, abs=0.01)
     assert found.parameters["gain_change.time"][0] == pytest.approx(400.0, abs=3.0)

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from estimators.diagnosis.effects import Clock
-from estimators.diagnosis.loop import Setting, diagnose
+from estimators.diagnosis.loop import diagnose
 from estimators.diagnosis.model.simulation import simulate
 from estimators.norm.peak_estimates import corrected
 from estimators.norm.worst_inputs import worst_case
@@ -16,6 +16,7 @@ from estimators.rules.power import power_iterations
 from estimators.rules.trace import run
 from oed.data import Record
 from oed.experiments import Experiment
+from tests.estimators.diagnosis.case_small import looking_for
 
 B, A = [0.0, 0.1, 0.1], [1.0, -1.5, 0.7]
 
@@ -35,7 +36,8 @@ def found(limit):
     for start, n in ((0.0, 500), (600.0, 300)):
         u = np.repeat(rng.uniform(-2, 2, n // 4), 4)[:, None]
         records.append(Record(u, system(u), t0=start))
-    return system, diagnose(*records, Setting(orders=(2,), structure="SISO"))
+    few = "saturation", "dead_zone", "input_cubic", "output_cubic"
+    return system, diagnose(*records, looking_for(*few, orders=(2,), structure="SISO"))
 
 
 def model_of(fit):

@@ -7,15 +7,17 @@ import pytest
 from scipy.signal import butter, lfilter
 from scipy.stats import binom, chi2
 
-from estimators.diagnosis.baseline import best, best_linear, search
+from estimators.diagnosis.baseline import best_linear
 from estimators.diagnosis.search.selection import feedback_test
 from estimators.diagnosis.share import explainable_share
 from estimators.diagnosis.share.feedback import filtered, has_feedback, is_answer
 from estimators.diagnosis.share.news import FREE, NEWS, Predictor
 from oed.data import Record
+from tests.estimators.diagnosis.case_small import two_poles
 
 N = 600
 DEN, NUM = [1.0, -1.5, 0.7], [0.0, 0.5, 0.3]
+KINDS = "white", "coloured", "level", "feedback"
 
 
 def _input(rng: np.random.Generator, n: int = N) -> np.ndarray:
@@ -54,11 +56,13 @@ def _linear(seed: int, kind: str) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "kind",
-    ["feedback", *(pytest.param(k, marks=pytest.mark.validate) for k in ("white", "coloured", "level"))],
+    "kind, whole",
+    [("feedback", False), *(pytest.param(k, True, marks=pytest.mark.validate) for k in KINDS)],
 )
-def test_a_linear_system_has_no_explainable_share(kind: str) -> None:
+def test_a_linear_system_has_no_explainable_share(monkeypatch, kind: str, whole: bool) -> None:
     """8 records a kind; the lower end of a 95 % interval of nothing exceeds 0 in at most 2.5 %: 2 of 8 have p < .016."""
+    if not whole:
+        two_poles(monkeypatch)
     found = [_share(*_linear(seed, kind)) for seed in range(8)]
     assert sum(s.explainable for s in found) <= 1
     assert np.median([s.share for s in found]) < 0.05
@@ -143,14 +147,18 @@ def _news(u: np.ndarray, y: np.ndarray, run: np.ndarray, *, past: bool = True) -
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "kind",
-    ["white", *(pytest.param(k, marks=pytest.mark.validate) for k in ("coloured", "level", "feedback"))],
+    "kind, whole",
+    [("white", False), *(pytest.param(k, True, marks=pytest.mark.validate) for k in KINDS)],
 )
-def test_a_curve_fitted_to_the_very_samples_of_a_linear_record_is_no_news(kind: str) -> None:
+def test_a_curve_fitted_to_the_very_samples_of_a_linear_record_is_no_news(
+    monkeypatch, kind: str, whole: bool
+) -> None:
     """Of 8 records a kind, with the best of 6 curves by least squares on all samples: 3 errors are exceeded in one at most.
 
     Without feedback neither by what the inputs alone foretell, whose limit that is.
     """
+    if not whole:
+        two_poles(monkeypatch)
     found, free = [], []
     for seed in range(8):
         u, y = _linear(seed, kind)
@@ -299,12 +307,8 @@ def _known(pole: float, n: int, bent: bool, seed: int) -> tuple[Record, float]:
 
 
 def _held(monkeypatch: pytest.MonkeyPatch, pole: float, n: int, bent: bool, runs: int) -> int:
-    """In how many records the interval holds the share; the linear model is one of two poles, so that a run takes half a second."""
-    for name, value in (("ORDERS", (2,)), ("REFINED", (2,))):
-        monkeypatch.setattr(search, name, value)
-        monkeypatch.setattr(best, name, value)
-    monkeypatch.setattr(search, "DELAYS", (1,))
-    monkeypatch.setattr(best, "_screened", lambda s: (s, s.arx(few=True), []))
+    """In how many records the interval holds the share."""
+    two_poles(monkeypatch)
     held = 0
     for seed in range(runs):
         record, true = _known(pole, n, bent, seed)

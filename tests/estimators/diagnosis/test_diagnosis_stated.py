@@ -14,13 +14,15 @@ from estimators.diagnosis.effects import named
 from estimators.diagnosis.ladder.stated import lacking, settling, starts_moving, unheard
 from estimators.diagnosis.ladder.steps import climb
 from estimators.diagnosis.loop import diagnose
-from estimators.diagnosis.policy import Effort, Policy, Setting
+from estimators.diagnosis.policy import Policy, Setting
 from estimators.diagnosis.search import examination
 from estimators.diagnosis.search.named import linear_step
 from estimators.diagnosis.search.selection import attribute
 from oed import Record
+from tests.estimators.diagnosis.case_small import looking_for
 
 POLES = np.poly([0.8, 0.6])
+LEVELS = "offset", "drift", "step_input", "step_output", "initial"
 LIGHT = np.poly([0.99 * np.exp(0.5j), 0.99 * np.exp(-0.5j)]).real
 
 
@@ -84,7 +86,7 @@ def test_a_better_minimum_is_no_start(monkeypatch):
 
 def test_a_record_that_starts_in_a_state_is_fitted_and_told():
     train, test = record(LIGHT, start=1.0), record(LIGHT, seed=1)
-    found = diagnose(train, test, Setting(orders=(2,), deviations=True, separate=True, effort=Effort.QUICK))
+    found = diagnose(train, test, looking_for(*LEVELS, orders=(2,), deviations=True, separate=True))
     assert found.effect == "initial_condition"
     assert "does not start at rest" in found.system
     # the test record does start at rest, and the model is as good as without the state
@@ -107,7 +109,7 @@ def test_a_start_that_ends_at_another_level_is_denied():
     train, test = cell(100.0, 0), cell(100.0, 5)
     options = Options(deviations=True)
     assert starts_moving([train], 0, best_linear([train], options), 2, options)
-    found = diagnose(train, test, Setting(orders=(2,), deviations=True, separate=True, effort=Effort.QUICK))
+    found = diagnose(train, test, looking_for(*LEVELS, orders=(2,), deviations=True, separate=True))
     assert found.effect == "initial_condition"
     assert found.rmse_after.value < 0.2 * test.y.std()
 
@@ -149,7 +151,8 @@ def test_a_level_that_settles_has_settled_by_the_next_record_on_its_clock(again)
         x = 4.0 * 0.2 / np.sum(POLES) + lfilter([0.0, 0.2], POLES, u - 4.0)
         level = 2.0 * x.std() * np.exp(-(np.arange(n) + start * (not again)) / 370.0)
         records.append(Record(u, x - level + 0.03 * x.std() * rng.standard_normal(n), t0=float(start)))
-    found = diagnose(*records, Setting(separate=again, effort=Effort.QUICK))
+    known = looking_for("drift", "offset", "step_output", "gain_drift", "lag_drift", separate=again)
+    found = diagnose(*records, known)
     assert found.effect == "output_drift"
     assert found.rmse_after.value < 0.05 * records[1].y.std()
 
@@ -163,7 +166,8 @@ def test_a_level_that_few_samples_at_rest_leave_is_part_of_the_linear_model():
         noise = lfilter([1.0], [1.0, -0.7], rng.standard_normal(len(u))) * np.sqrt(1.0 - 0.7**2)
         y = lfilter([0.0, 0.1], [1.0, -0.9], u) + 0.05 * noise + 0.04
         records.append(Record(u, y, t0=start))
-    found = diagnose(*records, Setting(deviations=True))
+    curves = "input_quadratic", "input_polynomial", "input_exponential", "output_quadratic"
+    found = diagnose(*records, looking_for(*curves, *LEVELS, deviations=True))
     assert found.effect in ("none", "coloured_noise")
     assert found.rmse_before.value < 1.1 * 0.05
     assert found.rmse_after == found.rmse_before
@@ -193,14 +197,15 @@ def loaded(load, seed=5) -> list[Record]:
 def test_a_level_beside_a_periodic_load_is_told_by_the_data():
     """The rests lie where the load is not in its mean: without a level the linear model was worse than a constant, all else bent to that."""
     load = lambda k, n: 1.5 * (np.cos(2.0 * np.pi * k / 90.0) - 1.0)
-    found = diagnose(*loaded(load), Setting(deviations=True, effort=Effort.QUICK))
+    cycles = "tones", "waveform", "gain_periodic", "input_quadratic", "saturation"
+    found = diagnose(*loaded(load), looking_for(*cycles, *LEVELS, deviations=True))
     assert found.effect == "periodic_disturbance"
     assert found.rmse_after.value < 0.2 * found.rmse_before.value
 
 
 def test_a_level_that_comes_with_the_record_is_named_where_nothing_else_is():
     load = lambda k, n: np.where(np.arange(n) < 15, 0.0, -3.0)
-    found = diagnose(*loaded(load), Setting(deviations=True, effort=Effort.QUICK))
+    found = diagnose(*loaded(load), looking_for(*LEVELS, "input_quadratic", "gain_change", deviations=True))
     assert found.effect == named("offset").cause
 
 

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from estimators.diagnosis.loop import Setting, diagnose
+from estimators.diagnosis.loop import diagnose
 from oed.data import Record
+from tests.estimators.diagnosis.case_small import looking_for
 
 NOISE, CAPACITY = 0.003, 400.0
+CURVES = "integral_curve", "output_exponential", "output_quadratic", "input_quadratic", "store", "drift"
 
 
 def cell(samples: int, level: float, seed: int, bend: float) -> Record:
@@ -28,7 +30,7 @@ def cell(samples: int, level: float, seed: int, bend: float) -> Record:
 @pytest.mark.slow
 @pytest.mark.parametrize("bend", [1.0, 0.0])
 def test_the_curve_of_a_cell_holds_from_another_level(bend):
-    found = diagnose(cell(1500, 0.5, 5, bend), cell(1200, 0.3, 8, bend), Setting(skip=20))
+    found = diagnose(cell(1500, 0.5, 5, bend), cell(1200, 0.3, 8, bend), looking_for(*CURVES, skip=20))
     if bend:
         assert found.effect == "integrated_input_curve"
         assert found.rmse_after.value < 1.5 * NOISE < 0.3 * found.rmse_before.value

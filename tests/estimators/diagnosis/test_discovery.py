@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from estimators import diagnose
 from estimators.diagnosis.baseline import Options, best_linear
-from estimators.diagnosis.discovery import DiscoveredModel, discover, recursion_kernels
+from estimators.diagnosis.discovery import BUDGETS, DiscoveredModel, discover, recursion_kernels
 from estimators.diagnosis.discovery.answer import _late_inputs
 from estimators.diagnosis.discovery.dictionary import SHARP, Kind, candidates
 from estimators.diagnosis.discovery.fitting import forgets
@@ -26,6 +26,7 @@ from estimators.diagnosis.share import Share
 from estimators.residual.algebra import gapless
 from oed.data import Record
 from tests.estimators.diagnosis.case_arms import polar_arm, two_links
+from tests.estimators.diagnosis.case_small import looking_for, of_orders
 
 KINDS = range(16)
 
@@ -179,16 +180,17 @@ def test_a_hardening_spring_is_found_in_the_users_units() -> None:
         assert force.same_as == known.same_as
 
 
-def test_many_outputs_are_looked_at_one_by_one() -> None:
+def test_many_outputs_are_looked_at_one_by_one(monkeypatch) -> None:
     """Terms of 6 outputs and 3 inputs together took 9 GB and had not ended after two minutes."""
 
     def three(seed: int) -> Record:
-        r = rig(lambda x, v: 1.6 * x**3, seed=seed)
+        r = rig(lambda x, v: 1.6 * x**3, n=540, seed=seed)
         lags = [lfilter([1 - a], [1, -a], r.u[:, 0]) for a in (0.5, 0.9)]
         e = 0.02 * np.random.default_rng(seed).standard_normal((2, len(r)))
         y = np.column_stack((lags[0] + e[0], r.y[:, 0], lags[1] + e[1]))
         return Record(r.u, y, 0.1, output_names=("fast", "mass", "slow"), output_units=("V", "mm", "V"))
 
+    monkeypatch.setitem(BUDGETS, "quick", of_orders(2))
     records, setting = [three(0)], Setting(effort=Effort.QUICK)
     base = best_linear(records)
     every = discovered(records, base, setting, Options(), [True, False, True])
@@ -198,18 +200,19 @@ def test_many_outputs_are_looked_at_one_by_one() -> None:
     assert step is not None
     assert step.equation.startswith("force on mass (in")
     assert {t.output for t in every[1].found.terms} == {1}
-    assert every[1].confirmed([np.ones(900, dtype=bool)])
+    assert every[1].confirmed([np.ones(540, dtype=bool)])
     run = step.simulate(other, 20)
     rms = lambda y: float(np.sqrt(np.mean((y - other.y[:, 1])[20:] ** 2)))
     assert rms(run) < 0.5 * rms(base.simulate(other)[:, 1])
-    assert len(step.unused[0]) == 900
+    assert len(step.unused[0]) == 540
     again = read_answer(step.answer.to_dict())
     assert np.array_equal(again.simulate(other, 20), run)
 
 
-def test_an_output_that_the_input_reaches_later_holds_up_no_other() -> None:
+def test_an_output_that_the_input_reaches_later_holds_up_no_other(monkeypatch) -> None:
     """One search delays an input by what its latest output asks for: the spring of a mass beside a pipe of eight samples was lost."""
-    r = rig(lambda x, v: 1.6 * x**3)
+    monkeypatch.setitem(BUDGETS, "quick", replace(of_orders(2), terms=1))
+    r = rig(lambda x, v: 1.6 * x**3, n=540)
     late = lfilter(np.r_[np.zeros(8), 0.3], [1, -0.7], r.u[:, 0])
     e = 0.02 * np.random.default_rng(1).standard_normal(len(r))
     records = [r.replace(y=np.column_stack((r.y[:, 0], late + e)), output_names=(), output_units=())]
@@ -222,7 +225,7 @@ def test_an_output_that_the_input_reaches_later_holds_up_no_other() -> None:
 @pytest.mark.parametrize("colour", [0.0, 0.9])
 def test_a_linear_rig_yields_nothing(colour) -> None:
     record = rig(lambda x, v: 0.0, noise=0.1, seed=4, colour=colour)
-    assert not discover([record], best_linear([record]), "quick").found
+    assert not discover([record], best_linear([record]), of_orders(2)).found
 
 
 @pytest.mark.validate
@@ -258,8 +261,8 @@ def test_an_inertia_that_another_axis_sets_is_found_with_its_force() -> None:
 
 
 def test_two_linear_axes_yield_nothing() -> None:
-    record = polar_arm(0.0, noise=0.1, seed=4)
-    assert not discover([record], best_linear([record]), "quick").found
+    record = polar_arm(0.0, n=350, noise=0.1, seed=4)
+    assert not discover([record], best_linear([record]), of_orders(2)).found
 
 
 @pytest.mark.parametrize("rate, forgotten", [(1.0, True), (-0.2, False)])
@@ -310,7 +313,7 @@ def test_measured_signals_promise_nothing_by_the_residual_that_they_hold() -> No
     assert max(s.gain for s in products) < 0.1 * base.sse
 
 
-def test_the_inverse_of_a_controller_that_answers_at_once_is_no_answer() -> None:
+def test_the_inverse_of_a_controller_that_answers_at_once_is_no_answer(monkeypatch) -> None:
     """u = r - 0.4 y without any error and with r of two values: y is a curve of u, which no plant is that acts a sample later."""
     rng, n = np.random.default_rng(2), 700
     r = np.repeat(rng.choice([-1.0, 1.0], n // 5), 5)
@@ -321,9 +324,10 @@ def test_the_inverse_of_a_controller_that_answers_at_once_is_no_answer() -> None
         u[k] = r[k] - 0.4 * y[k]
         x = 0.8 * x + 0.2 * u[k]
     record = Record(u, y)
+    monkeypatch.setitem(BUDGETS, "quick", of_orders(1, 2))
     found = discover([record], best_linear([record]), "quick")
     assert not any(t.slot == "output" and t.curve is not None and t.curve.signal == "u" for t in found.terms)
-    answer = diagnose(record, None, Setting(effort=Effort.QUICK))
+    answer = diagnose(record, None, looking_for("feedback", "saturation", "input_cubic", "output_cubic"))
     assert answer.effect == "closed_loop"
     assert answer.rmse_after == answer.rmse_before
 

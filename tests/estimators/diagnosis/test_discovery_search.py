@@ -16,6 +16,7 @@ from estimators.diagnosis.discovery.form import FREE, LAST, Assembly, Factor, Fo
 from estimators.diagnosis.discovery.starts import drive, linear_fit, pieces_of, scales_of
 from estimators.diagnosis.discovery.wording import BETWEEN, CARRIED, DEGREE, sum_of_rates
 from oed.data import Record
+from tests.estimators.diagnosis.case_small import of_orders
 
 
 def steps(rng: np.random.Generator, n: int, low: float, high: float) -> NDArray:
@@ -38,7 +39,7 @@ def test_a_product_with_a_difference_is_found(units: tuple[str, ...]) -> None:
     """Flow times the difference of two temperatures: chains of four states mimicked it and crowded the short one out, and neither
     product explains much without the other; the room had no answer. Where both have one unit it is one term."""
     record = replace(ventilated(1), input_units=units, output_units=units[1:2])
-    found = discover([record], best_linear([record], Options()), "quick")
+    found = discover([record], best_linear([record], Options()), of_orders(1))
     assert found.rmse_unused[0] < 0.03
     assert {t.same_as for t in found.terms[: 1 if units[1] else 2]} == {"bilinear"}
     assert CARRIED in {t.meaning for t in found.terms[:2]}
@@ -62,7 +63,7 @@ def test_what_a_difference_drives_is_found() -> None:
     """Neither level bends the flow through a flap between two tanks, their difference does."""
     record, other = tanks(1), tanks(2)
     base = best_linear([record], Options())
-    found = discover([record], base, "quick")
+    found = discover([record], base, of_orders(1))
     assert np.all(found.rmse_unused < 0.2 * base.rmse_unused)
     assert {t.output for t in found.terms if t.meaning == BETWEEN} == {0, 1}
     assert "(y1 - y2)" in found.equation
@@ -143,9 +144,9 @@ def test_what_no_window_shows_is_carried_on(monkeypatch) -> None:
     full a store is that hardly moves, as where wax melts: those that do are preferred, but not to nothing."""
     record = ventilated(4)
     base = best_linear([record], Options())
-    assert discover([record], base, "quick").found
+    assert discover([record], base, of_orders(1)).found
     monkeypatch.setattr(answer._Judge, "starts", lambda judge, fitted: False)
-    found = discover([record], base, "quick")
+    found = discover([record], base, of_orders(1))
     assert found.found
     assert found.rmse_unused[0] < 0.05
 
