@@ -203,7 +203,7 @@ def _supported(o: Outcome, claimed: list[Finding], policy: Policy) -> list[Findi
     near = [f for f in claimed if f.weight >= policy.agreed * min(claimed[0].weight, gone) or f.key in alone]
     # where causes of that nature alone explain more than the first can, any of them that holds is the better name
     able = claimed if claimed and o.gainsaid(claimed[0].nature) else near
-    seen = [f for f in able if o.share.explainable and f.nature == o.share.nature]
+    seen = [f for f in able if o.share.explainable and f.nature == o.share.nature and f.key != "order"]
     other = [f for f in near if f.nature != Nature.LINEAR]
     first = (seen or other or claimed)[:1]
     return [replace(f, weight=claimed[0].weight) for f in first] + [f for f in claimed if f not in first]
