@@ -26,9 +26,8 @@ from estimators.diagnosis.effects.profiled import (
 
 Array = NDArray[Any]
 FLOWING = frozenset({"first", "cascade", "chain"})  # a level, which a loss pulls at
-LAG = np.log(
-    0.7
-)  # rate of a sensor or an actuator beside it, which the linear model made slow to stand for the loss
+# rate of a sensor or an actuator beside it, which the linear model made slow to stand for the loss
+LAG = np.log(0.7)
 SWINGS = (0.7, 1.3, 2.2)  # largest angles in radian that a pendulum is started with
 SHAKEN = (-0.95, 0.0)  # zeros of the block before a pendulum: its pivot is accelerated, or its torque lags
 FEW = 4  # starts that are fitted

@@ -177,12 +177,10 @@ def _steady(channel: Channel, base: Fit) -> Fit | None:
     if not stable_polynomial(f):
         return None
     q = relinearised(channel, s, np.concatenate((f, base.p[s.order :])))
-    held = np.where(np.arange(len(base.p)) < s.order, 0.0, base.scales)
-    return (
-        None
-        if q is None
-        else replace(fit(channel, s, q, held, iterations=2, colour=False), scales=base.scales)
-    )
+    if q is None:
+        return None
+    held = np.where(np.arange(len(q)) < s.order, 0.0, base.scales)
+    return replace(fit(channel, s, q, held, iterations=2, colour=False), scales=base.scales)
 
 
 def explained(channel: Channel, base: Fit, fits: list[Fit]) -> bool:

@@ -25,8 +25,9 @@ RENEWED = 4
 
 SPARE, STEPS, ANEW = 2, 14, 3
 """Poles that a linear model may have to follow what drifts; Gauss-Newton steps from poles without them, and how often they are begun anew."""
-SLOW, MOST_RENEWED = 20.0, 12
-"""Of a record, over the memory of a pole that may follow a drift, at most; shapes that are made anew then."""
+SLOW, MOST_RENEWED, DRIFTING = 20.0, 12, ("drifts", "heat")
+"""A pole that remembers a twentieth of a record, or more, may have followed a drift in it: what a quicker one shows would be a fast change.
+Shapes that are made anew then, of the families of what changes a gain slowly."""
 
 QUICKLY = 8
 """Gauss-Newton steps by which a curve at the output finds its level, at most."""
@@ -133,7 +134,7 @@ def scored(channel: Channel, base: Fit, part: Part, best: int) -> Scored:
     found = sorted(_scores(channel, base, s, grid, Q, amplitude is not None), key=lambda x: -x.promise)
     fresh: dict[int, list[Array]] = {}  # by shape
     if part.effect.slot in (Slot.INPUT, Slot.PLANT, Slot.OUTPUT) and not base.structure.effects:
-        slow = part.effect.family in ("drifts", "heat") and followed(channel, base)
+        slow = part.effect.family in DRIFTING and followed(channel, base)
         for k, score in enumerate(found[: MOST_RENEWED if slow else RENEWED]):
             fresh[id(score.p)] = renewed(channel, s, score.p)
             fresh[id(score.p)] += _of_any_size(channel, s, score.p, scales) if slow else []
@@ -247,8 +248,9 @@ def _of_any_size(channel: Channel, s: Structure, p: Array, scales: Array) -> lis
         b = numerators(y, centred, f, few.taps, s.delay, channel.keep).reshape(U.shape[1], few.taps)
         q[: s.order] = np.pad(f, (0, s.order - order))
         sized = []
-        for size in (b[j] @ b[-1] / (b[j] @ b[j]), b[-1].sum() / b[j].sum()):  # of the taps, and in all
-            q[at] = p[at] * size
+        # of the taps, and of what they add up to
+        for of, to in ((b[j] @ b[-1], b[j] @ b[j]), (b[-1].sum(), b[j].sum())):
+            q[at] = p[at] * (of / (to or 1.0))
             sized += [] if (again := relinearised(channel, s, q)) is None else [again]
         if sized:
             best = min(sized, key=lambda q: _squares(channel, s, q))
