@@ -278,8 +278,7 @@ def _outcome(
     loop = echo and min(base.outputs[i].delays) > 0 and is_answer(records, errors, counted)
     inverse = echo and ladder.chosen.at_once(train, base.blocks.window)
     step = named.step if inverse else None
-    halves = step is not None and bench.over(step.unused[0], bench.linear).meets(setting.policy.overwhelming)
-    apart = halves and step is not None and not step.at_once(train, base.blocks.window)
+    apart = step is not None and not step.echo and not step.at_once(train, base.blocks.window)
     return Outcome(i, found, named, ladder, share, left, terms.found, inverse, loop, apart)
 
 

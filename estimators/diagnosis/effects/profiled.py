@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import find_peaks, lfilter
 
-from estimators.diagnosis.effects.disturbances.added import in_series, run_up, swept_line, turning
-from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, numbered
+from estimators.diagnosis.effects.disturbances.added import harmonics, in_series, run_up, swept_line, turning
+from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
 
 Array = NDArray[Any]
 FIRM = 60.0
@@ -372,12 +372,10 @@ STUCK = Effect(
     apply=_bit_stuck, search=_edged(lambda: STUCK, 0.5, 0.0),
 )  # fmt: skip
 
-WAVE = {"cosine": "1", "sine": "1"}
 SWAY = Effect(
     key="gain_periodic", cause="periodic_gain", nature=Nature.TIME, slot=Slot.INPUT, per_sample=True, family="drifts",
     sentence="the gain changes periodically: (1 + a cos(w t) + b sin(w t)), with harmonics where there are some", apply=swaying, search=_beats,
-    parameters={"frequency": "rad/sample"} | WAVE,
-    shape=lambda size, order: [("frequency", "rad/sample"), *(numbered(WAVE, size) if size > 1 else WAVE.items())],
+    **harmonics("1"),
 )  # fmt: skip
 
 SWEEP_INPUT = Effect(

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.effects.disturbances.added import in_series
-from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, numbered
+from estimators.diagnosis.effects.disturbances.added import harmonics, in_series
+from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
 from estimators.diagnosis.effects.plant import MOVING
 from estimators.diagnosis.effects.profiled import (
     FIRM,
-    WAVE,
     ended,
     entering,
     in_common,
@@ -315,19 +314,20 @@ def _breathing(effect: Callable[[], Effect]) -> Callable[..., Iterator[Any]]:
 
     def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         from estimators.diagnosis.model.fitting import fit
+        from estimators.diagnosis.model.layouts import LAYOUTS
         from estimators.diagnosis.model.linear import layout_starts
         from estimators.diagnosis.model.structure import Part
 
         s, n, e = base.structure, len(channel), effect()
-        if s.layout != "tf" or s.effects:
+        if s.layout != "tf" or s.effects or s.order not in {LAYOUTS[layout][0] for layout in e.layouts or ()}:
             return
         quiet = replace(base, noise=np.zeros(0))
         position = np.sum([through(quiet, j, u) for j, u in entering(channel, base)], axis=0)
         gain = float(np.sum(base.p[s.order : s.order + s.taps]) / (1.0 + np.sum(base.p[: s.order])))
         shapes = rotating(channel, base, position, partial(through, base, s.inputs[0]))
-        for new, p, scales in layout_starts(channel, base) if shapes else ():
-            beside = [p] if new.layout not in FLOWING - {"first"} else [p, np.r_[p[:1], LAG, p[2:]]]
-            for p in beside if e.fits(new.layout) else ():
+        for new, known, scales in layout_starts(channel, base) if shapes else ():
+            quick = [np.r_[known[:1], LAG, known[2:]]] if new.layout in ("cascade", "chain") else []
+            for p in (known, *quick) if e.fits(new.layout) else ():
                 f = fit(channel, new, p, scales, noise=base.noise, iterations=8, colour=False)
                 starts = [np.concatenate((f.p, shape * (1.0, -gain, -gain))) for shape in shapes]
                 for g in ended(channel, f, Part(e, new.inputs[0]), starts, [1.0 / n, 1.0, 1.0]):
@@ -342,8 +342,7 @@ def _breathes(
     return Effect(
         key=key, cause=cause, nature=Nature.TIME, slot=Slot.PLANT, per_sample=True, family="drifts", layouts=layouts,
         sentence=f"the {what} changes periodically: (1 + a cos(w t) + b sin(w t)), with harmonics where there are some",
-        force=lambda p, v, u, q, s, c: s * p, signal=_breath, search=_breathing(effect), parameters={"frequency": "rad/sample"} | WAVE,
-        shape=lambda size, order: [("frequency", "rad/sample"), *(numbered(WAVE, size) if size > 1 else WAVE.items())],
+        force=lambda p, v, u, q, s, c: s * p, signal=_breath, search=_breathing(effect), **harmonics("1"),
     )  # fmt: skip
 
 

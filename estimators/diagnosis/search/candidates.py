@@ -14,7 +14,7 @@ from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.linear import fit_linear, fresh_poles, layout_starts, relinearised
 from estimators.diagnosis.model.structure import Part, Structure, stable_polynomial
 from estimators.diagnosis.record.measurement import switched
-from estimators.diagnosis.search.starts import Start, fitted, followed, renewed, scored
+from estimators.diagnosis.search.starts import DRIFTS, Start, fitted, followed, renewed, scored
 from estimators.diagnosis.share.signals import late
 from estimators.residual.algebra import least_squares
 
@@ -36,7 +36,6 @@ FORMS = 2  # layouts that are tried with several inputs, which cost a column of 
 PLAIN, LATER, CHANCE = 2, (0, 1, 2, 3, 5, 8, 13), 1e-3
 # parameters of an effect that, if it leaves nothing, is no fit of many; lags in samples at which its signals are asked what it left, and the
 # level from which on they tell something
-DRIFTS = "drifts"  # the family of what changes with time and comes back, or does not
 HOPELESS = (
     -30.0
 )  # gain after those steps below which a start is given up: a layout may fit worse than the linear model
@@ -169,7 +168,7 @@ def _steady(channel: Channel, base: Fit) -> Fit | None:
     """The linear model with the poles that changes from sample to sample show, where a slow one may have followed what drifts; of
     which the residual then says nothing."""
     s, y = base.structure, channel.y
-    if s.layout != "tf" or s.effects or not followed(channel, base):
+    if s.effects or not followed(channel, base):
         return None
     U = channel.u[:, list(s.inputs)]
     keep = channel.keep & np.concatenate(([False], channel.keep[:-1]))

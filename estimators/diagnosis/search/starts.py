@@ -25,7 +25,8 @@ RENEWED = 4
 
 SPARE, STEPS, ANEW = 2, 14, 3
 """Poles that a linear model may have to follow what drifts; Gauss-Newton steps from poles without them, and how often they are begun anew."""
-SLOW, MOST_RENEWED, DRIFTING = 20.0, 12, ("drifts", "heat")
+DRIFTS = "drifts"  # the family of what changes with time and comes back, or does not
+SLOW, MOST_RENEWED, DRIFTING = 20.0, 12, (DRIFTS, "heat")
 """A pole that remembers a twentieth of a record, or more, may have followed a drift in it: what a quicker one shows would be a fast change.
 Shapes that are made anew then, of the families of what changes a gain slowly."""
 
@@ -212,15 +213,22 @@ def renewed(channel: Channel, s: Structure, p: Array) -> list[Array]:
     entering = acted(s, p, channel.u, channel.clock) if found and s.layout == "tf" else None
     if entering is not None:
         # a pole too many settles where noise or a trend wants it
-        fewest = s.order - (SPARE if _slow(p[: s.order], len(channel)) else 1)
-        for order in range(max(fewest, 1), s.order + 1):
-            q = p.copy()
-            few = replace(s, order=order, taps=min(s.taps, order), parts=())
-            q[: s.order] = 0.0
-            q[:order] = fresh_poles(channel.y, entering, few, channel.keep)
-            if stable_polynomial(q[: s.order]) and (again := relinearised(channel, s, q)) is not None:
-                found.append(again)
+        spare = SPARE if _slow(p[: s.order], len(channel)) else 1
+        for _, f in _of_fewer_poles(channel, s, entering, spare):
+            q = np.concatenate((f, p[s.order :]))
+            found += [] if (again := relinearised(channel, s, q)) is None else [again]
     return found
+
+
+def _of_fewer_poles(
+    channel: Channel, s: Structure, U: Array, spare: int
+) -> Iterator[tuple[Structure, Array]]:
+    """Structures of up to so many poles less, and the fresh poles of each for what enters (N, inputs), with zeros for those it has not."""
+    for order in range(max(s.order - spare, 1), s.order + 1):
+        few = replace(s, order=order, taps=min(s.taps, order), parts=())
+        f = np.pad(fresh_poles(channel.y, U, few, channel.keep), (0, s.order - order))
+        if stable_polynomial(f):
+            yield few, f
 
 
 def _of_any_size(channel: Channel, s: Structure, p: Array, scales: Array) -> list[Array]:
@@ -229,7 +237,7 @@ def _of_any_size(channel: Channel, s: Structure, p: Array, scales: Array) -> lis
     Its size need not be known then: the linear model's slow pole, which followed the level of a gain that drifts, says it has none.
     """
     part, at = s.parts[-1], s.slices()[-1].start
-    if part.effect.amplitude is None or part.effect.slot is not Slot.INPUT or s.layout != "tf":
+    if part.effect.amplitude is None or part.effect.slot is not Slot.INPUT:
         return []
     at, none = at + part.effect.amplitude, p.copy()
     none[at] = 0.0
@@ -240,14 +248,9 @@ def _of_any_size(channel: Channel, s: Structure, p: Array, scales: Array) -> lis
     U = np.column_stack((before, entering[:, j] - before[:, j]))
     y, centred = channel.y - channel.y[channel.keep].mean(), U - U[channel.keep].mean(axis=0)
     found = []
-    for order in range(max(s.order - SPARE, 1), s.order + 1):
-        few, q = replace(s, order=order, taps=min(s.taps, order)), p.copy()
-        f = fresh_poles(channel.y, U, few, channel.keep)
-        if not stable_polynomial(f):
-            continue
-        b = numerators(y, centred, f, few.taps, s.delay, channel.keep).reshape(U.shape[1], few.taps)
-        q[: s.order] = np.pad(f, (0, s.order - order))
-        sized = []
+    for few, f in _of_fewer_poles(channel, s, U, SPARE):
+        b = numerators(y, centred, f[: few.order], few.taps, s.delay, channel.keep)
+        b, q, sized = b.reshape(U.shape[1], few.taps), np.concatenate((f, p[s.order :])), []
         # of the taps, and of what they add up to
         for of, to in ((b[j] @ b[-1], b[j] @ b[j]), (b[-1].sum(), b[j].sum())):
             q[at] = p[at] * (of / (to or 1.0))

@@ -76,6 +76,16 @@ def in_series(p: Array, clock: Clock) -> Array:
     return p[1:] @ _waves(p, clock)
 
 
+def harmonics(unit: str) -> dict[str, Any]:
+    """The parameters of an effect that goes with a signal of one period, as `in_series` takes them, one harmonic or several."""
+    waves = {"cosine": unit, "sine": unit}
+
+    def shape(size: int, order: int) -> list[tuple[str, str]]:
+        return [("frequency", "rad/sample"), *(numbered(waves, size) if size > 1 else waves.items())]
+
+    return {"parameters": {"frequency": "rad/sample"} | waves, "shape": shape}
+
+
 def _waves(p: Array, clock: Clock) -> Array:
     """(sizes, N) of the harmonics of a signal of one period."""
     return kept(_in_turn, clock.k, np.array([p[0], len(p) // 2]))
@@ -319,11 +329,9 @@ TONES = _added(
     shape=lambda size, order: numbered(TONE, size) if size > 1 else list(TONE.items()), search=_tone_fits,
 )  # fmt: skip
 
-WAVES = {"cosine": "y", "sine": "y"}
 WAVEFORM = _added(
     "waveform", "periodic_disturbance", "a signal that repeats is added, of any form: its period and its harmonics", per_sample=True,
-    apply=lambda y, p, c: y + in_series(p, c), slopes=lambda p, c: enumerate(_waves(p, c), 1), parameters={"frequency": "rad/sample"} | WAVES, trials=10.0, search=_repeating,
-    shape=lambda size, order: [("frequency", "rad/sample"), *(numbered(WAVES, size) if size > 1 else WAVES.items())],
+    apply=lambda y, p, c: y + in_series(p, c), slopes=lambda p, c: enumerate(_waves(p, c), 1), trials=10.0, search=_repeating, **harmonics("y"),
 )  # fmt: skip
 
 SWEEP = _added(

@@ -25,7 +25,7 @@ WEARS, WORN_BY, MOST_WOUND, MOST_WORN = (0.3, 1.0, 5.0, 25.0), (-1.0, 0.5, 1.0),
 tried, and the largest that it grows and falls with: what is wound grows with it itself or its root, a cake under a given pressure has
 a half, a given flow through it 1, more is nearly exponential."""
 AGEING = (0.05, 0.1, 0.2, 0.4, 0.8, 2.0)
-"""What a gain that settles has more of itself at the record's start than at the end, and its time constants in records, that are tried."""
+"""Time constants, in records, of a gain that settles, that are tried: what it has more of itself at the start follows from each."""
 RESETS, SHORTEST, LEAST_CYCLES = 24, 3.0, 1.5
 """Instants within a cycle at which a gain may begin its course anew that are tried; samples of the shortest cycle, and how many a record has at least."""
 MEMORIES = (0.05, 0.2)  # of the record: time constants of a slow state that are tried

@@ -215,14 +215,15 @@ def _turns(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     few, tried, far = replace(s, order=BY, taps=BY, delay=0), [], MOVED * float(np.ptp(y[keep]))
     for pole in map(float, LAGS):
         if (found := _unrolled(y, pole, keep)) is not None:
-            f = fit_linear(replace(channel, y=found[0], keep=found[1]), few, rough=True)
-            angle = simulate(f.structure, f.p, channel.u, channel.clock)
-            e = y - _wrapped(angle, np.array([found[2][0], 0.0, found[2][1], pole]), channel.clock)
+            angle, clear, (turn, centre) = found
+            f = fit_linear(replace(channel, y=angle, keep=clear), few, rough=True)
+            run = simulate(f.structure, f.p, channel.u, channel.clock)
+            e = y - _wrapped(run, np.array([turn, 0.0, centre, pole]), channel.clock)
             whole = float(np.mean(np.minimum(np.abs(e), far)[keep] ** 2))
-            tried.append((float(np.mean(f.residual[found[1]] ** 2)) * (1.0 - pole) ** 2, whole, pole, found))
-    least = ALIKE * min((whole for _, whole, *_ in tried), default=0.0)
-    good = sorted(tried, key=lambda t: (max(t[1], least), t[0]))[:FOLLOWED]
-    for _, _, pole, (angle, clear, (turn, centre)) in good:
+            tried.append((whole, float(np.mean(f.residual[clear] ** 2)) * (1.0 - pole) ** 2, pole, found))
+    least = ALIKE * min((whole for whole, *_ in tried), default=0.0)
+    for _, _, pole, found in sorted(tried, key=lambda t: (max(t[0], least), t[1]))[:FOLLOWED]:
+        angle, clear, (turn, centre) = found
         seen = np.concatenate((y[:1], (y[1:] - pole * y[:-1]) / (1.0 - pole)))
         forms = [replace(s, order=n, taps=n, delay=d) for n in ORDERS_TURNED for d in {0, s.delay}]
         fits = [fit_linear(replace(channel, y=angle, keep=clear), form, rough=True) for form in forms]
