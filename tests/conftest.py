@@ -72,6 +72,11 @@ def _folder(variable: str) -> Path:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--validation-json", metavar="FILE", help="write outcomes and recorded figures to FILE")
+    parser.addoption(
+        "--one-of-each",
+        action="store_true",
+        help="each test with the first of its parameters: what a further Python or library may break, not the numbers",
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -79,13 +84,18 @@ def pytest_configure(config: pytest.Config) -> None:
         config.pluginmanager.register(_Record(config), "oed-record")
 
 
+@pytest.hookimpl(trylast=True)  # of what marks and keywords leave: the first of a test's parameters may be slow
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    if "validate" in (config.option.markexpr or ""):
-        return
-    left_out = [item for item in items if item.get_closest_marker("validate")]
-    if left_out:
+    kept = items
+    if "validate" not in (config.option.markexpr or ""):
+        kept = [item for item in kept if not item.get_closest_marker("validate")]
+    if config.option.one_of_each:
+        first = {item.nodeid.partition("[")[0]: item for item in reversed(kept)}
+        kept = [item for item in kept if first[item.nodeid.partition("[")[0]] is item]
+    chosen = set(kept)
+    if left_out := [item for item in items if item not in chosen]:
         config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if not item.get_closest_marker("validate")]
+        items[:] = kept
 
 
 class _Record:

@@ -13,7 +13,7 @@ from estimators.diagnosis.baseline.choice import jackknife
 from estimators.diagnosis.ladder.asked import curve_unknown, inside
 from estimators.diagnosis.ladder.figures import about, difference_figure, moves, root, root_figure, together
 from estimators.diagnosis.ladder.stated import SET
-from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, is_sane
+from estimators.diagnosis.ladder.steps import Kind, Ladder, Step, beyond_chance, is_sane
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.result.report import ErrorFigure
 from estimators.diagnosis.share.feedback import has_feedback
@@ -301,8 +301,8 @@ def _borne_after_all(
     ladder: Ladder, answer: int, off: Sequence[Array], sane: Sequence[bool], loop: bool, policy: Policy
 ) -> int:
     """The rung that unused blocks put before the answer without being sure of it, where errors on the test record, (n, 1), are surely less
-    with it and its own fit tells it from nothing: the best on unused blocks of those. One that may only hear what the input knows of the
-    noise hears it on a test record from a `loop` as well."""
+    with it, by more than slow errors have in common by chance, and its own fit tells it from nothing: the best on unused blocks of
+    those. One that may only hear what the input knows of the noise hears it on a test record from a `loop` as well."""
     limit = (1.0 - policy.searched[1]) * ladder.rungs[answer].value
     able = [
         j
@@ -313,9 +313,12 @@ def _borne_after_all(
         and r.step.told
         and not (loop and r.step.echo)
     ]
-    surely = lambda j, rows: difference_figure(off[answer][rows], off[j][rows]).low > 0.0
-    late = slice(len(off[answer]) // 2, None)  # a better start alone, which is not heard there, is no effect
-    borne = [j for j in able if surely(j, slice(None)) and surely(j, late)]
+    before = off[answer]
+    surely = lambda j, rows: difference_figure(before[rows], off[j][rows]).low > 0.0
+    late = slice(len(before) // 2, None)  # a better start alone, which is not heard there, is no effect
+    counted, nothing = np.ones(len(before), dtype=bool), np.zeros(len(before))
+    own = lambda j: beyond_chance([before[:, 0]], [nothing], [(before - off[j])[:, 0]], [counted])
+    borne = [j for j in able if surely(j, slice(None)) and surely(j, late) and own(j)]
     return min(borne, key=lambda j: ladder.rungs[j].value, default=answer)
 
 
