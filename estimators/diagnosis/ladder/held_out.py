@@ -46,11 +46,12 @@ class HeldOut:
     borne: ErrorFigure
     untried: bool = False  # whether the record asks for a curve where nothing is known of it, so that it says nothing of a claim
     lost: bool = False  # whether the record's own mean is nearer to it than the free run of what is claimed
+    by_chance: bool = False  # whether it alone chose the answer, by no more than errors as slow may have in common by chance
 
     @property
     def bears(self) -> bool:
         """Whether the record bears what is claimed of the system: its errors are less with it, and less than a constant's."""
-        return self.untried or (self.borne.low > 0.0 and not self.lost)
+        return self.untried or (self.borne.low > 0.0 and not self.lost and not self.by_chance)
 
     @property
     def misread(self) -> bool:
@@ -207,7 +208,7 @@ def assess(
          for r in ladder.rungs]
         for i, ladder in enumerate(ladders)
     ]  # fmt: skip
-    answers, warnings, untried = [], [], False
+    answers, warnings, untried, by_chance = [], [], False, False
     for i, ladder in enumerate(ladders):
         name, use = record.output_names[i], counts[:, i]
         off = [(y[:, i] - run)[use, None] for run in runs[i]]
@@ -262,6 +263,7 @@ def assess(
             if (j := _borne_after_all(ladder, answers[i], off, sane, loop, policy)) != answers[i]:
                 kinds = (ladder.rungs[k].step.kind.value for k in (j, answers[i]))
                 warnings.append(AFTER_ALL.format(next(kinds), record.output_names[i], next(kinds)))
+                by_chance |= _by_chance(*(off[k][:, 0] for k in (answers[i], j)))
                 answers[i] = j
         second = errors(stacked(answers))
     steps = [ladder.rungs[a].step for ladder, a in zip(ladders, answers, strict=True)]
@@ -287,7 +289,7 @@ def assess(
         difference_figure(first, second), removed(first, second, level, policy),
         tuple(_rungs(ladders, runs, lambda run: root_figure(errors(run), second), answers)), tuple(steps),
         (*warnings, *worse.values()),
-        borne, untried, lost,
+        borne, untried, lost, by_chance,
     )  # fmt: skip
 
 
@@ -301,8 +303,8 @@ def _borne_after_all(
     ladder: Ladder, answer: int, off: Sequence[Array], sane: Sequence[bool], loop: bool, policy: Policy
 ) -> int:
     """The rung that unused blocks put before the answer without being sure of it, where errors on the test record, (n, 1), are surely less
-    with it, by more than slow errors have in common by chance, and its own fit tells it from nothing: the best on unused blocks of
-    those. One that may only hear what the input knows of the noise hears it on a test record from a `loop` as well."""
+    with it and its own fit tells it from nothing: the best on unused blocks of those. One that may only hear what the input knows of the
+    noise hears it on a test record from a `loop` as well."""
     limit = (1.0 - policy.searched[1]) * ladder.rungs[answer].value
     able = [
         j
@@ -313,13 +315,17 @@ def _borne_after_all(
         and r.step.told
         and not (loop and r.step.echo)
     ]
-    before = off[answer]
-    surely = lambda j, rows: difference_figure(before[rows], off[j][rows]).low > 0.0
-    late = slice(len(before) // 2, None)  # a better start alone, which is not heard there, is no effect
-    counted, nothing = np.ones(len(before), dtype=bool), np.zeros(len(before))
-    own = lambda j: beyond_chance([before[:, 0]], [nothing], [(before - off[j])[:, 0]], [counted])
-    borne = [j for j in able if surely(j, slice(None)) and surely(j, late) and own(j)]
+    surely = lambda j, rows: difference_figure(off[answer][rows], off[j][rows]).low > 0.0
+    late = slice(len(off[answer]) // 2, None)  # a better start alone, which is not heard there, is no effect
+    borne = [j for j in able if surely(j, slice(None)) and surely(j, late)]
     return min(borne, key=lambda j: ladder.rungs[j].value, default=answer)
+
+
+def _by_chance(before: Array, after: Array) -> bool:
+    """Whether errors (n,) are less than others by no more than what slow signals have in common by chance."""
+    return not beyond_chance(
+        [before], [np.zeros(len(before))], [before - after], [np.ones(len(before), dtype=bool)]
+    )
 
 
 def _innovations(e: Array, noise: Array) -> Array:
