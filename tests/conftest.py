@@ -84,7 +84,9 @@ def pytest_configure(config: pytest.Config) -> None:
         config.pluginmanager.register(_Record(config), "oed-record")
 
 
-@pytest.hookimpl(trylast=True)  # of what marks and keywords leave: the first of a test's parameters may be slow
+@pytest.hookimpl(
+    trylast=True
+)  # of what marks and keywords leave: the first of a test's parameters may be slow
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     kept = items
     if "validate" not in (config.option.markexpr or ""):

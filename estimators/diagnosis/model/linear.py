@@ -41,11 +41,26 @@ def _lagged(y: Array, U: Array, n: int, taps: int, delay: int) -> Array:
     return np.array(columns).T
 
 
-def _regression(y: Array, U: Array, n: int, taps: int, delay: int, keep: Array) -> Array:
+def _regression(
+    y: Array, U: Array, n: int, taps: int, delay: int, keep: Array, beside: Array | None = None
+) -> Array:
     X = _lagged(y, U, n, taps, delay)
+    X = X if beside is None else np.hstack((X, beside))
     rows = keep.copy()
     rows[:n] = False
     return least_squares(X[rows], y[rows])
+
+
+def _prefiltered(y: Array, U: Array, f: Array, taps: int, delay: int, keep: Array) -> Array:
+    """Denominator (n,) of a Steiglitz-McBride pass from another one.
+
+    Where the record begins, and its level, are free: the filters begin at rest, and what a record that does not leaves
+    in its first samples would be dynamics.
+    """
+    n, den = len(f), np.concatenate(([1.0], f))
+    begun = np.column_stack((np.ones(len(y)), np.eye(len(y), n)))
+    v, W, B = (np.asarray(lfilter([1.0], den, x, axis=0)) for x in (y, U, begun))
+    return _reflected(_regression(v, W, n, taps, delay, keep, B)[:n])
 
 
 def prefiltered_error(y: Array, U: Array, den: Array, s: Structure, rows: NDArray[np.bool_]) -> float:
@@ -87,21 +102,11 @@ def numerators(y: Array, U: Array, f: Array, taps: int, delay: int, keep: Array)
 
 def _starts(y: Array, U: Array, n: int, taps: int, delay: int, keep: Array) -> list[Array]:
     """Denominators to start from: ARX, Steiglitz-McBride passes, and reduced high-order models."""
-    out = []
     theta = _regression(y, U, n, taps, delay, keep)
-    out.append(theta[:n])
+    out = [theta[:n]]
     f = _reflected(theta[:n])
     for _ in range(8):
-        den = np.concatenate(([1.0], f))
-        theta = _regression(
-            np.asarray(lfilter([1.0], den, y)),
-            np.asarray(lfilter([1.0], den, U, axis=0)),
-            n,
-            taps,
-            delay,
-            keep,
-        )
-        f = _reflected(theta[:n])
+        f = _prefiltered(y, U, f, taps, delay, keep)
         out.append(f)
     out = [out[0], out[2], out[-1]]
     high = min(max(3 * n, 12), len(y) // 20)
@@ -123,13 +128,11 @@ def _starts(y: Array, U: Array, n: int, taps: int, delay: int, keep: Array) -> l
 
 
 def fresh_poles(y: Array, U: Array, s: Structure, keep: NDArray[np.bool_], passes: int = 3) -> Array:
-    """Denominator of a linear model from inputs U (N, inputs) to y (N,) without a start: ARX, then Steiglitz-McBride passes."""
+    """Denominator of a linear model from inputs U (N, inputs) to y (N,): ARX, then Steiglitz-McBride passes."""
     y, U = y - np.mean(y[keep]), U - np.mean(U[keep], axis=0)
     f = _reflected(_regression(y, U, s.order, s.taps, s.delay, keep)[: s.order])
     for _ in range(passes):
-        den = np.concatenate(([1.0], f))
-        v, W = np.asarray(lfilter([1.0], den, y)), np.asarray(lfilter([1.0], den, U, axis=0))
-        f = _reflected(_regression(v, W, s.order, s.taps, s.delay, keep)[: s.order])
+        f = _prefiltered(y, U, f, s.taps, s.delay, keep)
     return f
 
 

@@ -344,7 +344,7 @@ CLASSES: dict[str, tuple[_Maker, int, dict[str, float]]] = {
     "stiction": (stuck, 2, {}), "clearance": (loose, 2, {}), "clearance_sprung": (sprung, 4, {}),
     "hysteresis_rate": (dragged, 2, {}), "output_sigmoid": (sigmoid, 2, {}), "output_exponential": (logarithm, 2, {}),
     "magnitude": (magnitude, 2, {}), "squared": (squared, 2, {}), "rectified": (rectified, 2, {}),
-    "wrapped": (wrapped, 3, {}), "rise_and_fall": (rise_and_fall, 3, _LEVEL), "orifices": (orifice, 3, _LEVEL),
+    "wrapped": (wrapped, 3, {}), "rise_and_fall": (rise_and_fall, 3, _LEVEL), "rise_and_fall of a switched heater": (rise_and_fall, 3, {**_LEVEL, "two": True}), "orifices": (orifice, 3, _LEVEL),
     "loss_cubic": (loss, 2, _LEVEL), "outflow_root": (outflow, 2, _LEVEL), "vessel": (vessel, 2, _LEVEL),
     "capacity_bump": (melting, 3, _LEVEL), "output_cutoff": (cut_off, 2, {"mean": 2.0, "size": 1.0}), "gain_settles": (running_in, 2, {}),
     "output_staircase": (shown_in_steps, 2, {}), "multiplexed": (in_turns, 2, {}),

@@ -197,6 +197,36 @@ def buffers(u, a):
     return swing(lambda x, v, f, t: 0.08 * (f - x - 0.5 * a * abs(x) * np.tanh(v / 0.003)) - 0.03 * v, u)
 
 
+def _in_its_time(u, late=0.0, pause=0.0, run=0.0):
+    """What takes a switched command over late as it rises, and not before it has paused or run for long enough."""
+    v, out, since, last, rises = u[0], np.empty(len(u)), 0.0, -np.inf, False
+    for k, command in enumerate(u):
+        if k and command != u[k - 1]:
+            since, rises = k, command > u[k - 1]
+        total = 0.0
+        for now in k + np.arange(FINE) / FINE:
+            if v != command and now >= max(since + late * rises, last + (pause if rises else run)):
+                v, last = command, now
+            total += v / FINE
+        out[k] = total
+    return linear(out)
+
+
+def purged(u, a):
+    """A burner that blows its chamber through before it lights."""
+    return _in_its_time(u, late=2.6 * a)
+
+
+def locked_out(u, a):
+    """A compressor that is locked against a start until its pressures are even."""
+    return _in_its_time(u, pause=8.4 * a)
+
+
+def kept_running(u, a):
+    """A heat pump that runs for some minutes once it has started."""
+    return _in_its_time(u, run=8.4 * a)
+
+
 DRIVES = {
     # effect: maker, order of the linear model, form of the input
     "reported_in_time": (in_time, 2, {}),
@@ -216,6 +246,7 @@ DRIVES = {
     "stiffness_settles": (curing, 2, {}), "inertia_settles": (icing, 2, {}), "resonance_settles": (stretching, 2, {}),
     "three_point": (damper, 3, {"hold": 12, "size": 0.7}),
     "coulomb_grip": (buffers, 2, {}),
+    "switched_late": (purged, 2, {"two": True}), "least_pause": (locked_out, 2, {"two": True}), "least_run": (kept_running, 2, {"two": True}),
     "steps_input": (loaded_twice, 2, {}), "steps_output": (set_anew, 2, {}),
     "position_periodic of a wheel that was parked": (parked, 2, {"mean": 2.6, "size": 0.5}),
 }  # fmt: skip

@@ -364,6 +364,7 @@ ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     ("waveform", "gain_periodic"), ("gain_periodic", "waveform"), ("waveform", "multiplexed of lags"), ("pulse_input", "waveform"), ("steps_input", "waveform"), ("steps_output", "waveform"),
     ("coulomb_grip", "plays"), ("coulomb_grip", "hysteresis_rate"), ("coulomb_grip", "stiffness_cubic"), ("hysteresis_rate", "coulomb_grip"),
     ("three_point", "rate_in_loop"), ("three_point", "geared_servo"), ("rate_limit_servo", "three_point"), ("stiction", "three_point"),
+    ("switched_late", "rise_and_fall of a switched heater"), ("least_pause", "rise_and_fall of a switched heater"), ("switched_late", "least_pause"), ("least_pause", "switched_late"), ("least_pause", "least_run"), ("least_run", "least_pause"), ("three_point", "least_pause"), ("rate_limit_servo", "switched_late"), ("stiction", "least_run"),
     ("steps_input", "gain_periodic"), ("steps_output", "lost_samples"), ("steps_output", "steps_input"),
     ("output_gain_periodic", "waveform"),
     ("rate_in_course", "rate_in_loop"), ("rate_in_course", "wind_up"), ("rate_in_loop", "rate_in_course"), ("rate_limit_servo", "rate_in_course"),

@@ -14,12 +14,18 @@ PLANT = ([0.0, 0.12, 0.08], np.real(np.poly([0.85 * np.exp(0.25j), 0.85 * np.exp
 
 
 def excitation(
-    rng: np.random.Generator, n: int, mean: float = 0.0, size: float = 1.0, hold: int = 7, inputs: int = 1
+    rng: np.random.Generator,
+    n: int,
+    mean: float = 0.0,
+    size: float = 1.0,
+    hold: int = 7,
+    inputs: int = 1,
+    two: bool = False,
 ) -> np.ndarray:
-    """Held levels about a mean, at rest on it for the first 15 samples; (n, inputs) where there are several."""
+    """Held levels, or `two` in turn, about a mean, at rest on it for the first 15 samples; (n, inputs) where there are several."""
     if inputs > 1:
         return np.stack([excitation(rng, n, mean, size, hold) for _ in range(inputs)], axis=1)
-    levels = rng.uniform(-1.7, 1.7, n)
+    levels = np.resize([1.0, -1.0], n) if two else rng.uniform(-1.7, 1.7, n)
     u = np.repeat(levels, rng.integers(max(hold // 2, 1), 2 * hold, n))[:n]
     u[:15] = 0.0
     return mean + size * u

@@ -275,3 +275,26 @@ def three_point(signal, up, down, halt, zone, start):  # pragma: no cover - comp
         if running < 1.0:
             way = 0.0
     return out
+
+
+@compiled
+def in_own_time(signal, starts_late, stops_late, pause, run):  # pragma: no cover - compiled
+    """Mean over each sample interval of what takes a switched signal over so many samples late, and once it has fallen does not rise for a
+    pause, nor fall for a run once it has risen."""
+    out = np.empty_like(signal)
+    v, way, taken, since, last = signal[0], 0, 0, 0.0, -1e300
+    for k in range(signal.shape[0]):
+        if k and signal[k] != signal[k - 1]:
+            way, since = (1 if signal[k] > signal[k - 1] else -1), float(k)
+        waits = 0.0
+        if way != taken:
+            due = max(
+                since + (starts_late if way > 0 else stops_late), last + (pause if way > 0 else run), float(k)
+            )
+            waits = min(due - k, 1.0)
+            if waits < 1.0:
+                taken, last = way, due
+        out[k] = waits * v + (1.0 - waits) * signal[k]
+        if waits < 1.0:
+            v = signal[k]
+    return out

@@ -26,6 +26,7 @@ from estimators.diagnosis.effects.loops.remembering import (
 from estimators.diagnosis.effects.loops.scanned import SCANNED
 from estimators.diagnosis.effects.loops.servos import SERVOS
 from estimators.diagnosis.effects.loops.stores import STORES
+from estimators.diagnosis.effects.loops.switching import SWITCHING
 from estimators.diagnosis.effects.loops.three_point import THREE_POINT
 
 __all__ = ["ACROSS", "FLOWS", "LOOPS", "PACES", "STORES", "play_widths", "slowest_rate"]
@@ -45,6 +46,7 @@ LOOPS = (
     RECYCLE,
     *EXPOSURES,
     THREE_POINT,
+    *SWITCHING.values(),
     *SERVOS,
     *GEARED,
     *STORES,

@@ -12,6 +12,7 @@ from estimators.diagnosis.effects.input import aside
 from estimators.diagnosis.effects.kernels.recursion_kernels import LEAST_PACE, WITHIN, warm_rest
 from estimators.diagnosis.effects.loops import play_widths
 from estimators.diagnosis.effects.loops.ageing import worn_by
+from estimators.diagnosis.effects.loops.switching import SWITCHING, times
 from estimators.diagnosis.effects.path import curve_of_charge
 from estimators.diagnosis.effects.process import Passing
 from estimators.diagnosis.effects.sensing.gains import law_of
@@ -239,11 +240,41 @@ def _in_turn(w: Wiring, x: Any, p: Array, k: Any) -> Any:
     return x + turn * (p[2] * slow + p[3] - x)
 
 
+def _in_own_time(which: str) -> Callable[[Wiring, Any, Array, Any], Any]:
+    def taken_over(w: Wiring, x: Any, p: Array, k: Any) -> Any:
+        starts_late, stops_late, pause, run = times(which, p)
+        first, ca = w.value(x), w.ca
+        s = w.state([first, first, 0.0, 0.0, 0.0, -1e9])
+        v, before, way, taken, since, last = (s.x[i] for i in range(6))
+        since = ca.if_else(x == before, since, k)
+        way = ca.if_else(x > before, 1.0, ca.if_else(x < before, -1.0, way))
+        due = ca.fmax(
+            ca.if_else(
+                way > 0.0, ca.fmax(since + starts_late, last + pause), ca.fmax(since + stops_late, last + run)
+            ),
+            k,
+        )
+        waits = ca.if_else(way == taken, 0.0, ca.fmin(due - k, 1.0))
+        turns = ca.logic_and(way != taken, waits < 1.0)
+        s.after = ca.vertcat(
+            ca.if_else(waits < 1.0, x, v),
+            x,
+            way,
+            ca.if_else(turns, way, taken),
+            since,
+            ca.if_else(turns, due, last),
+        )
+        return waits * v + (1.0 - waits) * x
+
+    return taken_over
+
+
 TIMED: Mapping[str, Callable[[Wiring, Any, Array, Any], Any]] = {
     "tones": _tones,
     "input_scanned": _scanned,
     "reported_in_time": _beaten,
     "multiplexed": _in_turn,
+    **{key: _in_own_time(key) for key in SWITCHING},
 }
 """Of those that know the time, too."""
 

@@ -1,0 +1,106 @@
+"""An actuator that is switched on and off, and keeps to times of its own: it starts late, pauses or runs for so long at least."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
+from estimators.diagnosis.effects.loops.anew import remade
+from estimators.diagnosis.effects.profiled import NEAREST, ended, firm, lean, of_order
+
+Array = NDArray[Any]
+LONGEST, TRIED, KEPT, FURTHER = 80.0, 24, 2, (0, 1)
+"""Samples that an actuator keeps to, at most, how many times up to the longest are tried, and of them those that are moved closer; and
+poles that the linear part may have more than the linear model, which leaves out what the actuator hides."""
+
+
+def times(which: str, p: Array) -> tuple[float, float, float, float]:
+    """Samples by which it starts and stops late, and which it pauses and runs at least."""
+    t = float(p[0])
+    late = max(t, 0.0), max(-t, 0.0)
+    return (
+        (*late, 0.0, 0.0)
+        if which == "switched_late"
+        else (0.0, 0.0, *((abs(t), 0.0) if which == "least_pause" else (0.0, abs(t))))
+    )
+
+
+def _applied(which: str) -> Callable[..., Array]:
+    def apply(x: Array, p: Array, clock: Clock) -> Array:
+        from estimators.diagnosis.effects.kernels.loop_kernels import in_own_time
+
+        return in_own_time(np.ascontiguousarray(x), *times(which, p))
+
+    return apply
+
+
+def _told(which: str, u: Array) -> Array:
+    """Times that tell something of an input: of pauses or runs that are longer than the shortest, up to the longest."""
+    between = np.diff(np.flatnonzero(np.diff(u)))
+    grid = np.unique(np.round(np.geomspace(1.0, min(float(np.max(between, initial=1.0)), LONGEST), TRIED), 1))
+    return (
+        np.concatenate((-grid, grid))
+        if which == "switched_late"
+        else grid[grid > np.min(between, initial=1.0)]
+    )
+
+
+def _left(entry: tuple[float, Array]) -> float:
+    return entry[0]
+
+
+def _tried(channel: Any, bare: Any, part: Any, time: float) -> tuple[float, Array]:
+    """(sum of squares, parameters) of an actuator that keeps to a time, with a linear part made for it."""
+    return remade(channel, bare.structure.adding(part), np.append(bare.p, time))
+
+
+def _closer(tried: Callable[[float], tuple[float, Array]], best: tuple[float, Array]) -> tuple[float, Array]:
+    """The time moved for as long as the error falls, by ever smaller steps: which commands pass has no derivative."""
+    size = 1.0
+    while size > NEAREST:
+        near = min((tried(best[1][-1] + way * size) for way in (-1.0, 1.0)), key=_left)
+        best, size = (near, size) if near[0] < best[0] else (best, 0.5 * size)
+    return best
+
+
+def _searched(which: str) -> Callable[..., Iterator[Any]]:
+    def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+        from estimators.diagnosis.model.structure import Part
+        from estimators.diagnosis.record.measurement import switched
+
+        s = base.structure
+        for j in s.inputs if s.layout == "tf" and not s.effects else ():
+            if not switched(channel.u[:, j]):
+                continue
+            fits: list[Any] = []
+            part, grid = Part(SWITCHING[which], j), _told(which, channel.u[:, j])
+            for more, delay in product(FURTHER, sorted({0, s.delay})):
+                few, p, scales = of_order(base, s.order + more, s.taps + more)
+                bare = replace(base, structure=replace(few, delay=delay), p=p, scales=scales)
+                tried = partial(_tried, channel, bare, part)
+                found = sorted(map(tried, grid), key=_left)[:KEPT]
+                if not found or not firm(base, found[0][0]):
+                    continue
+                close = sorted((_closer(tried, best) for best in found), key=_left)
+                fits += ended(channel, bare, part, [p for _, p in close], [1.0])
+            yield from lean(channel, sorted(fits, key=lambda f: f.criterion)[:1])
+
+    return search
+
+
+SWITCHING = {
+    key: Effect(
+        key=key, cause="switching_time", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=60, reversing=True, alone=True,
+        sentence=f"the actuator is switched, and {what}", parameters={"duration": "sample"}, apply=_applied(key), search=_searched(key),
+    )
+    for key, what in (
+        ("switched_late", "starts that much later after its command than it stops (less than zero: stops later)"),
+        ("least_pause", "once it has stopped it does not start again for that time, whatever its command"),
+        ("least_run", "once it has started it does not stop again for that time, whatever its command"),
+    )
+}  # fmt: skip
