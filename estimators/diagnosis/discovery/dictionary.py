@@ -113,6 +113,17 @@ def _functions(name: str, x: Array, zero: float, rest: float) -> list[Factor]:
     return out
 
 
+def _inverses(name: str, x: Array, zero: float) -> list[Factor]:
+    """1/x of a signal that keeps to one side of the user's zero, from there and from a zero of its own; of no other."""
+    low = float(x.min())
+    floor = low - BELOW * (float(x.max()) - low)
+    return (
+        [Factor(Kind.INVERSE, name, zero), Factor(Kind.INVERSE, name, min(zero, floor), 1.0, (True, False))]
+        if zero < low
+        else []
+    )
+
+
 def candidates(
     form: Form, signals: Mapping[str, Array], zeros: Mapping[str, float], samples: float
 ) -> list[Candidate]:
@@ -162,6 +173,10 @@ def candidates(
         if zero < low:
             root = Factor(Kind.ROOT, name, zero)
             out += [Candidate((Term((root, linear(b))),)) for b in u]
+    for name in [*y, *u, *(d.name for d in form.differences if d.first[0] != "v")]:
+        # what a power drives into a level, or carries over a lift or a flow
+        out += [Candidate((Term((f, linear(b))),)) for f in _inverses(name, signals[name], zeros.get(name, 0.0))
+                for b in u if b != name]  # fmt: skip
     for d in (d for d in form.differences if d.first[0] != "v"):  # through an opening
         for b in (b for b in u if b not in (d.first, d.second)):
             flow = Factor(Kind.SIGNED_ROOT, d.name, zeros[d.name]), Factor(Kind.LINEAR, d.name, zeros[d.name])

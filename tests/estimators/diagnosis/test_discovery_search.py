@@ -46,6 +46,43 @@ def test_a_product_with_a_difference_is_found(units: tuple[str, ...]) -> None:
     assert found.nature == "dynamic nonlinearity"
 
 
+def charged(seed: int, n: int = 900) -> Record:
+    """A capacitor on a source and a resistance; a converter draws its power whatever the voltage."""
+    rng = np.random.default_rng(seed)
+    source, power, v = steps(rng, n, 250.0, 290.0), 1e3 * steps(rng, n, 4.0, 20.0), np.full(n, 240.0)
+    for k in range(n - 1):
+        v[k + 1] = v[k] + 0.12 * (source[k] - v[k]) - 0.1 * power[k] / v[k]
+    return Record(
+        np.stack((source, power), axis=1),
+        v + 0.05 * rng.standard_normal(n),
+        input_units=("V", "W"),
+        output_units=("V",),
+    )
+
+
+def heated(seed: int, n: int = 900) -> Record:
+    """A tank on a heat pump, which needs the more power for its heat the higher it lifts it, and nine degrees more."""
+    rng = np.random.default_rng(seed)
+    power, outside, t = steps(rng, n, 0.5, 4.0), steps(rng, n, -5.0, 12.0), np.full(n, 45.0)
+    for k in range(n - 1):
+        t[k + 1] = t[k] + 9.0 * power[k] / (t[k] - outside[k] + 9.0) - 0.02 * (t[k] - 21.0)
+    return Record(
+        np.stack((power, outside), axis=1),
+        t + 0.02 * rng.standard_normal(n),
+        input_units=("kW", "degC"),
+        output_units=("degC",),
+    )
+
+
+@pytest.mark.parametrize("made, words, noise", [(charged, "1/y * u2", 0.05), (heated, "1/(y - u2) * u1", 0.02)])
+def test_a_power_acts_by_the_reciprocal_of_what_it_is_driven_into(made, words: str, noise: float) -> None:
+    """A direct-current bus under a converter was square roots, a logarithm and three products: .75 V for the noise of .58."""
+    record = made(1)
+    found = discover([record], best_linear([record], Options()), of_orders(1))
+    assert found.rmse_unused[0] < 1.3 * noise
+    assert words in found.equation
+
+
 def tanks(seed: int, n: int = 900) -> Record:
     """Two tanks beside each other; a flap lets water from the first into the second, and none back."""
     rng = np.random.default_rng(seed)
