@@ -34,7 +34,6 @@ export NUMBA_NUM_THREADS    := 1
 # Nothing is written to the user's home: caches live and die with the environment.
 export MPLBACKEND           := Agg
 export MPLCONFIGDIR         := $(abspath $(VENV))/cache/matplotlib
-export NUMBA_CACHE_DIR      := $(abspath $(VENV))/cache/numba
 export XDG_CACHE_HOME       := $(abspath $(VENV))/cache
 export PYRIGHT_PYTHON_CACHE_DIR := $(abspath $(VENV))/cache/pyright
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
@@ -67,8 +66,8 @@ $(STAMP): requirements.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
-	@mkdir -p $(MPLCONFIGDIR) $(NUMBA_CACHE_DIR) $(PYRIGHT_PYTHON_CACHE_DIR)
-	$(BIN)/python -m estimators.montecarlo.compiled
+	@mkdir -p $(MPLCONFIGDIR) $(PYRIGHT_PYTHON_CACHE_DIR)
+	$(BIN)/python -m estimators.compiled
 	@touch $@
 
 compare: $(STAMP)

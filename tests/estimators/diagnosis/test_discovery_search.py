@@ -74,7 +74,9 @@ def heated(seed: int, n: int = 900) -> Record:
     )
 
 
-@pytest.mark.parametrize("made, words, noise", [(charged, "1/y * u2", 0.05), (heated, "1/(y - u2) * u1", 0.02)])
+@pytest.mark.parametrize(
+    "made, words, noise", [(charged, "1/y * u2", 0.05), (heated, "1/(y - u2) * u1", 0.02)]
+)
 def test_a_power_acts_by_the_reciprocal_of_what_it_is_driven_into(made, words: str, noise: float) -> None:
     """A direct-current bus under a converter was square roots, a logarithm and three products: .75 V for the noise of .58."""
     record = made(1)
