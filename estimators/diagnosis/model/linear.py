@@ -51,16 +51,16 @@ def _regression(
     return least_squares(X[rows], y[rows])
 
 
-def _prefiltered(y: Array, U: Array, f: Array, taps: int, delay: int, keep: Array) -> Array:
+def _prefiltered(y: Array, U: Array, f: Array, taps: int, delay: int, keep: Array, begun: bool) -> Array:
     """Denominator (n,) of a Steiglitz-McBride pass from another one.
 
-    Where the record begins, and its level, are free: the filters begin at rest, and what a record that does not leaves
-    in its first samples would be dynamics.
+    The filters begin at rest. What a record that has `begun` off its mean leaves in its first samples would be dynamics: its start and
+    level are then free; but slow poles that are free to begin anywhere follow what drifts.
     """
     n, den = len(f), np.concatenate(([1.0], f))
-    begun = np.column_stack((np.ones(len(y)), np.eye(len(y), n)))
-    v, W, B = (np.asarray(lfilter([1.0], den, x, axis=0)) for x in (y, U, begun))
-    return _reflected(_regression(v, W, n, taps, delay, keep, B)[:n])
+    free = [np.column_stack((np.ones(len(y)), np.eye(len(y), n)))] if begun else []
+    v, W, *B = (np.asarray(lfilter([1.0], den, x, axis=0)) for x in (y, U, *free))
+    return _reflected(_regression(v, W, n, taps, delay, keep, *B)[:n])
 
 
 def prefiltered_error(y: Array, U: Array, den: Array, s: Structure, rows: NDArray[np.bool_]) -> float:
@@ -106,7 +106,7 @@ def _starts(y: Array, U: Array, n: int, taps: int, delay: int, keep: Array) -> l
     out = [theta[:n]]
     f = _reflected(theta[:n])
     for _ in range(8):
-        f = _prefiltered(y, U, f, taps, delay, keep)
+        f = _prefiltered(y, U, f, taps, delay, keep, False)
         out.append(f)
     out = [out[0], out[2], out[-1]]
     high = min(max(3 * n, 12), len(y) // 20)
@@ -127,12 +127,15 @@ def _starts(y: Array, U: Array, n: int, taps: int, delay: int, keep: Array) -> l
     return out
 
 
-def fresh_poles(y: Array, U: Array, s: Structure, keep: NDArray[np.bool_], passes: int = 3) -> Array:
-    """Denominator of a linear model from inputs U (N, inputs) to y (N,): ARX, then Steiglitz-McBride passes."""
+def fresh_poles(
+    y: Array, U: Array, s: Structure, keep: NDArray[np.bool_], passes: int = 3, begun: bool = False
+) -> Array:
+    """Denominator of a linear model from inputs U (N, inputs) to y (N,): ARX, then Steiglitz-McBride passes; of a record that has `begun`
+    off its mean, or as one that stood on it."""
     y, U = y - np.mean(y[keep]), U - np.mean(U[keep], axis=0)
     f = _reflected(_regression(y, U, s.order, s.taps, s.delay, keep)[: s.order])
     for _ in range(passes):
-        f = _prefiltered(y, U, f, s.taps, s.delay, keep)
+        f = _prefiltered(y, U, f, s.taps, s.delay, keep, begun)
     return f
 
 

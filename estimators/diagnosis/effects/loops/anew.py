@@ -18,7 +18,7 @@ def remade(channel: Any, structure: Any, p: Array) -> tuple[float, Array]:
 
     p, order = p.copy(), structure.order
     if (U := acted(structure, p, channel.u, channel.clock)) is not None and np.all(np.isfinite(U)):
-        p[:order] = fresh_poles(channel.y, U, replace(structure, parts=()), channel.keep)
+        p[:order] = fresh_poles(channel.y, U, replace(structure, parts=()), channel.keep, begun=True)
         if stable_polynomial(p[:order]) and (q := relinearised(channel, structure, p)) is not None:
             error = channel.y - simulate(structure, q, channel.u, channel.clock)
             return float(np.sum(error[channel.keep] ** 2)), q
