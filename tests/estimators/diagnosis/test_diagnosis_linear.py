@@ -12,6 +12,7 @@ from estimators.diagnosis.baseline.linear_model import LinearModel, Prior
 from estimators.diagnosis.effects import Clock
 from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.loop import diagnose
+from estimators.diagnosis.model.linear import fresh_poles
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.policy import Effort, Setting
 from estimators.diagnosis.search.free_runs import Start, free_run
@@ -225,3 +226,21 @@ def test_an_unstable_model_chosen_on_pieces_is_fitted_to_the_whole_record(monkey
     model = best_linear([record])
     assert model.outputs[0].model.radius == pytest.approx(1.006, abs=1e-3)
     assert model.rmse_unused[0] < 0.1 * np.std(record.y)
+
+
+def test_poles_of_a_record_that_begins_far_from_its_mean_are_the_plants(rng) -> None:
+    """A cold store that begins warm: poles that knew of no start were a pair at the circle, and an actuator's pause was not found."""
+    n, poles = 1200, [0.96, 0.89]
+    u = np.repeat(rng.integers(0, 2, n // 6), 6).astype(float)
+    u[:24] = 0.0
+    y = (
+        25.0
+        - 21.0 * np.asarray(lfilter([0.0, 0.04 * 0.11], np.poly(poles), u))
+        + 0.04 * rng.standard_normal(n)
+    )
+    s, keep = Structure(2, (0,), taps=2), np.ones(n, dtype=bool)
+    found = [
+        np.sort(np.roots(np.r_[1.0, fresh_poles(y, u[:, None], s, keep, begun=b)])) for b in (True, False)
+    ]
+    np.testing.assert_allclose(found[0], sorted(poles), atol=0.01)
+    assert np.max(np.abs(found[1])) > 0.985
