@@ -51,7 +51,7 @@ class HeldOut:
     @property
     def bears(self) -> bool:
         """Whether the record bears what is claimed of the system: its errors are less with it, and less than a constant's."""
-        return self.untried or (self.borne.low > 0.0 and not self.lost and not self.by_chance)
+        return not self.by_chance and (self.untried or (self.borne.low > 0.0 and not self.lost))
 
     @property
     def misread(self) -> bool:

@@ -228,6 +228,7 @@ def test_a_claim_is_borne_by_no_run_that_is_worse_than_a_constant() -> None:
     assert not bears(borne=better, lost=True)
     assert not bears(borne=worse, lost=False, difference=better)
     assert bears(borne=worse, lost=True, untried=True)
+    assert not bears(borne=better, untried=True, by_chance=True)
     y, every = np.array([[1.0], [-1.0]] * 50), np.ones((100, 1), dtype=bool)
     figures = ErrorFigure(1.06, 0.8, 1.3), ErrorFigure(0.88, 0.8, 1.0)
     assert list(_worse_than_constant(y, every, figures, Setting().policy)) == ["linear model"]
