@@ -16,6 +16,7 @@ from estimators.diagnosis.discovery.search import Budget, acting, bends, complex
 from estimators.diagnosis.discovery.starts import Scales, pieces_of, scales_of
 from estimators.diagnosis.discovery.uncertainty import beyond_linear, covariance, pruned
 from estimators.diagnosis.discovery.validation import ahead, free_run, start_prior, unused, without_each
+from estimators.diagnosis.share.feedback import in_loop
 from oed.data import Record
 
 Array = NDArray[Any]
@@ -75,7 +76,8 @@ def discover(
     if not _same_inputs(baseline, records[0]):
         several = [np.zeros(records[0].n_inputs, int)]
     delays = np.minimum(np.max(several, axis=0) - 1, np.min(several, axis=0))
-    budget = replace(budget, late=_late_inputs(baseline, records[0]))
+    closed = any(in_loop(records, baseline, i) for i in range(len(baseline.outputs)))
+    budget = replace(budget, late=_late_inputs(baseline, records[0]), closed=closed)
     scales = scales_of(records, baseline.y_model, np.maximum(delays, 0).astype(int))
     pieces = pieces_of(records, [np.ones(r.y.shape, bool) for r in records], scales)
     smooth = [(y - scales.y) / scales.sy for y in baseline.y_model]

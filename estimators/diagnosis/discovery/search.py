@@ -43,6 +43,7 @@ class Budget:
     late: tuple[tuple[str, ...], ...] = ()
     # per output, the inputs that do not act on it in their own sample by the linear model: a term that passes one straight on to
     # it would be the inverse of a controller that answers the output at once
+    closed: bool = False  # whether there is such a controller: no linear part passes inputs straight on then either that are late for all outputs
 
     def about(self, orders: tuple[int, ...], terms: int) -> Budget:
         """For a second search, of chains as long as those of a model and of no more terms; other lengths stay rivals."""
@@ -205,10 +206,11 @@ def greedy_search(
     orders and of the least of them: longer chains mimic what is missing, also in the linear model alone, and would crowd out the
     short ones that need more terms for it.
     """
-    ny = pieces[0].y.shape[1]
+    ny, nu = pieces[0].y.shape[1], (pieces[0].d.shape[1] - 1) // 2
+    straight = not budget.closed or any(len(late) < nu for late in budget.late)
 
     def linear(orders: Sequence[tuple[int, ...]]) -> list[Fitted]:
-        fits = [linear_fit(n, pieces, scales, outputs, feedthrough=True) for n in orders]
+        fits = [linear_fit(n, pieces, scales, outputs, feedthrough=straight) for n in orders]
         return [f for f in fits if f is not None and forgets(f, pieces)]
 
     beam, rivals = linear([(n,) * ny for n in budget.orders]), linear([(n,) * ny for n in budget.rivals])

@@ -20,7 +20,7 @@ from estimators.diagnosis.ladder.steps import Kind, paired_gain
 from estimators.diagnosis.model.forces import effective_samples
 from estimators.diagnosis.policy import Policy
 from estimators.diagnosis.search.named import INDEPENDENT
-from estimators.diagnosis.share.feedback import has_feedback
+from estimators.diagnosis.share.feedback import in_loop
 from estimators.residual.algebra import decomposed
 from oed.data import Record
 
@@ -173,13 +173,7 @@ of records in a loop it was 1.5 % at most, and 4 to 17 % worse on inputs of anot
 def unheard(records: Sequence[Record], base: Baseline, options: Options) -> tuple[Baseline, Options]:
     """The linear models and options without what acts in the input's own sample on an output whose noise that input answers: most of it
     is the controller's answer, unless unused blocks are far worse without."""
-    counts = base.blocks.counting(records)
-
-    def heard(i: int) -> bool:
-        left = [r.y[:, i] - y[:, i] for r, y in zip(records, base.y_model, strict=True)]
-        return min(base.outputs[i].delays) == 0 and has_feedback(records, left, [c[:, i] for c in counts])
-
-    found = tuple(filter(heard, range(len(base.outputs))))
+    found = tuple(i for i, m in enumerate(base.outputs) if min(m.delays) == 0 and in_loop(records, base, i))
     if not found:
         return base, options
     told = replace(options, later=found)

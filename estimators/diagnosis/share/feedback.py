@@ -9,6 +9,7 @@ from scipy.signal.windows import blackmanharris
 from scipy.spatial import cKDTree
 from scipy.stats import chi2
 
+from estimators.diagnosis.baseline import Baseline
 from estimators.residual.algebra import decomposed
 from oed.data import Record
 
@@ -84,6 +85,12 @@ def has_feedback(
             if all(told(*_design(records, clean, j, *reach, bends)) for bends in (False, True)):
                 return True
     return False
+
+
+def in_loop(records: Sequence[Record], base: Baseline, output: int) -> bool:
+    """Whether an input answers what the linear model leaves of an output."""
+    left = [r.y[:, output] - y[:, output] for r, y in zip(records, base.y_model, strict=True)]
+    return has_feedback(records, left, [c[:, output] for c in base.blocks.counting(records)])
 
 
 def is_answer(
