@@ -162,29 +162,21 @@ def relinearised(channel: Channel, s: Structure, p: Array) -> Array | None:
     return q
 
 
-BEST = 2
-"""Of the starts, from which on they are a denominator that is its own prefilter, and a long model's reduction."""
 TRANSIENT = 0.05
 """Of the deviance per sample, that starts with an initial state must win: a twentieth of the error's power."""
 
 
 def begun_linear(
-    channel: Channel,
-    s: Structure,
-    noise: Array | None = None,
-    extra: list[Array] | None = None,
-    *,
-    rough: bool = False,
+    channel: Channel, s: Structure, noise: Array | None = None, extra: list[Array] | None = None
 ) -> list[Fit]:
-    """A few steps of the linear model's output-error fit from several starts, or `rough` from the two that do best, the best first."""
+    """A few steps of the linear model's output-error fit from several starts, the best first."""
     y, U = channel.y, channel.u[:, list(s.inputs)]
     level, means = 0.0, np.zeros(U.shape[1])
     if any(p.effect is OFFSET for p in s.parts):  # both about their means: a start knows of no level
         level, means = float(np.mean(y[channel.keep])), np.mean(U[channel.keep], axis=0)
     centred, moved = y - level, U - means
     fits, off, starts = [], [], any(q.effect.slot is Slot.START for q in s.parts)
-    known = _starts(centred, moved, s.order, s.taps, s.delay, channel.keep)
-    for f in known[BEST if rough else 0 :] + list(extra or []):
+    for f in _starts(centred, moved, s.order, s.taps, s.delay, channel.keep) + list(extra or []):
         f = _reflected(f)
         if not stable_polynomial(f):
             continue
@@ -209,7 +201,7 @@ def fit_linear(
     begun: list[Fit] | None = None,
 ) -> Fit:  # fmt: skip
     """Output-error fit of the linear model from several starts, or on from those that are `begun`."""
-    fits = begun_linear(channel, s, noise, extra, rough=rough) if begun is None else begun
+    fits = begun_linear(channel, s, noise, extra) if begun is None else begun
     if rough:
         return fit(channel, s, fits[0].p, fits[0].scales, noise=noise, iterations=10, colour=False)
     distinct = [fits[0]]
