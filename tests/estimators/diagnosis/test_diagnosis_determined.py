@@ -220,10 +220,7 @@ def test_a_state_that_a_window_leaves_open_is_counted_over_the_run(pole, samples
 def test_a_claim_is_borne_by_no_run_that_is_worse_than_a_constant() -> None:
     """On a linear record in a loop with a large disturbance, a change of a pole lowered the error from 1.06 to .88: the mean has .64."""
     better, worse = ErrorFigure(0.2, 0.1, 0.3), ErrorFigure(0.1, -0.1, 0.3)
-
-    def bears(**told: object) -> bool:
-        return HeldOut(**{f.name: told.get(f.name) for f in fields(HeldOut)}).bears  # type: ignore[arg-type]
-
+    bears = lambda **told: HeldOut(**{f.name: told.get(f.name) for f in fields(HeldOut)}).bears  # type: ignore
     assert bears(borne=better, lost=False)
     assert not bears(borne=better, lost=True)
     assert not bears(borne=worse, lost=False, difference=better)

@@ -8,9 +8,11 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from estimators.diagnosis.baseline import Options, best_linear
 from estimators.diagnosis.discovery import DiscoveredModel, answer, discover, search
+from estimators.diagnosis.discovery.answer import BUDGETS
 from estimators.diagnosis.discovery.dictionary import Kind
 from estimators.diagnosis.discovery.form import FREE, LAST, Assembly, Factor, Form, Term
 from estimators.diagnosis.discovery.starts import drive, linear_fit, pieces_of, scales_of
@@ -235,3 +237,20 @@ def test_the_equation_of_a_force_with_a_rate_is_whole() -> None:
         sum_of_rates("y^2", {0: (0.1, 0.2), 1: (-3.0, 0.1), 2: (1.0, 0.2)})
         == "-3 +- 0.1 s * d/dt[y^2] + 1 +- 0.2 s^2 * d^2/dt^2[y^2]"
     )
+
+
+@pytest.mark.parametrize("gain", [0.4, 0.0])
+def test_in_a_loop_no_linear_part_passes_inputs_straight_on_that_are_late(monkeypatch, gain: float) -> None:
+    """A tank on a heat pump in a loop: what was discovered was by far the best, and refused as it acted at once."""
+    rng, n = np.random.default_rng(3), 700
+    r = np.repeat(rng.uniform(0.5, 2.5, n // 5), 5)
+    e = np.asarray(lfilter([1.0], [1.0, -1.3, 0.6], 0.02 * rng.standard_normal(n)))
+    y, u, x = np.zeros(n), np.zeros(n), 1.0
+    for k in range(n):
+        y[k] = x + e[k]
+        u[k] = r[k] - gain * y[k]
+        x = 0.8 * x + 0.2 * u[k] / (0.5 + x)
+    monkeypatch.setitem(BUDGETS, "quick", of_orders(1, 2))
+    found = discover([Record(u, y)], best_linear([Record(u, y)]), "quick")
+    assert found.model is not None
+    assert found.model.form.feedthrough is not (gain > 0.0)
