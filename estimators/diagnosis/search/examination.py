@@ -29,8 +29,9 @@ from estimators.diagnosis.record.measurement import (
 )
 from estimators.diagnosis.search.blocks import curved, grown, sandwich
 from estimators.diagnosis.search.candidates import Menu
+from estimators.diagnosis.search.feedback import feedback_of
 from estimators.diagnosis.search.free_runs import denominator, largest_pole, thinned
-from estimators.diagnosis.search.selection import Attribution, attribute, feedback_of
+from estimators.diagnosis.search.selection import Attribution, attribute
 from estimators.residual.algebra import gapless
 from oed.data import Record
 
@@ -45,10 +46,9 @@ LEAST_MOTION = 400  # samples of a force balance
 class Examined:
     """All that was found for one output.
 
-    `channel` which output, from 0; `attribution` causes and fits; `signatures` traces of the measurement:
-    outliers, quantisation, held samples; `naive` the linear fit before anything was added; `thin` by how much
-    the record was thinned for screening; `final_channel` data of the final model, where it was fitted to a
-    record thinned less; `final_thin` by how much that was thinned; 0 where it is `thin`.
+    `channel` which output, from 0; `attribution` causes and fits; `signatures` traces of the measurement: outliers, quantisation,
+    held samples; `naive` the linear fit before anything was added; `thin` by how much the record was thinned for screening;
+    `final_channel` data of the final model, fitted to a record thinned less; `final_thin` by how much that was thinned; 0 where it is `thin`.
     """
 
     channel: Channel

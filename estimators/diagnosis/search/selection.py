@@ -2,24 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from estimators.diagnosis.effects import Effect, Nature, named
-from estimators.diagnosis.effects.profiled import gained
-from estimators.diagnosis.model.fitting import Channel, Fit, fit, innovations
+from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Structure
 from estimators.diagnosis.record.paired import as_good
 from estimators.diagnosis.search.candidates import Menu, augmented, explained, refit
 from estimators.diagnosis.search.exchange import exchanged, whole_delay
-from estimators.diagnosis.share.feedback import MATTERS, beside, between_jumps, filtered, wald
-from estimators.residual.algebra import thin_svd, unit
+from estimators.diagnosis.search.feedback import feedback_of
 
-Array = NDArray[Any]
 EVERYTHING = Menu()
 FAMILY = EVERYTHING.family
 
@@ -82,46 +77,6 @@ def significance(null: Fit, f: Fit, family: int = FAMILY) -> float:
     return float(min(1.0, family * tries * chi2.sf(max(ratio, 0.0), k)))
 
 
-SHIFTS = 40
-"""Innovations come at any other time as well: what they explain of an input then, where its own past leaves a smooth rest of it, as of
-a sweep, is what chance explains."""
-
-
-def feedback_test(u: Array, e: Array, lags: int = 5, memory: int = 12, more: Sequence[Array] = ()) -> float:
-    """Likelihood-ratio p-value of 'the input u (N,) does not follow the noise': past innovations e (N,) help to predict it.
-
-    Innovations at lags 1 to `lags`, beside `memory` past inputs and whatever columns `more` tell of it; the larger p-value of
-    equal and of unequal variances.
-    """
-    u, e, n = unit(u), unit(e), len(u)
-    own = [np.concatenate((np.zeros(i), u[: n - i])) for i in range(1, memory + 1)]
-    own += [*more, np.ones(n)]
-    past = [np.concatenate((np.zeros(i), e[: n - i])) for i in range(1, lags + 1)]
-    X0, X1 = np.stack(own, axis=1)[memory:], np.stack(own + past, axis=1)[memory:]
-    target = u[memory:]
-    rows = between_jumps(X0, target, 1e-7 * float(np.std(u)))
-    Q, E, count = _basis(X0[rows]), X1[:, X0.shape[1] :], lags
-    r0 = target[rows] - Q @ (Q.T @ target[rows])
-    rss0, chance = float(r0 @ r0), count / len(r0)
-
-    def ratio(by: int) -> float:
-        Z = np.roll(E, by, axis=0)[rows]
-        Z = _basis(Z - Q @ (Q.T @ Z))
-        return -len(r0) * float(np.log1p(-min(float(np.sum((Z.T @ r0) ** 2)) / rss0, 1.0 - 1e-12)))
-
-    if rss0 <= 1e-12 * float(u @ u) or (found := ratio(0)) < -len(r0) * np.log1p(-min(MATTERS + chance, 0.5)):
-        return 1.0  # nothing left to predict, or a share too small for a loop
-    shifts = np.linspace(0, len(target), SHIFTS + 2)[1:-1].astype(int)
-    wider = max(1.0, float(np.mean([ratio(by) for by in shifts])) / count)
-    return max(float(chi2.sf(found / wider, count)), wald(X0[rows], E[rows], target[rows]))
-
-
-def _basis(X: Array) -> Array:
-    """Orthonormal columns of all that those of a matrix tell apart."""
-    U, size, _ = thin_svd(X)
-    return U[:, size > 1e-13 * size[0]]
-
-
 def _white(f: Fit) -> Fit:
     """The same fit without a noise model (its deviance recomputed)."""
     if not len(f.noise):
@@ -135,6 +90,8 @@ FEW = 8
 BASES, FULL = 5, 1500
 """Single effects of different causes that a second one is looked for beside, the best and four in its place, as loops that follow
 any lag may take two of them; fewer beside longer records, whose criteria tell the best from the others."""
+NEAR = 0.15
+"""Share of the best first effect's gain that another must have to be one of them."""
 PLAIN = 1.0
 """Gain that a second effect must promise beside one that leaves white noise: tones, delays, modes and whatever else has a
 search of its own in place of a score would colour it."""
@@ -286,14 +243,7 @@ def _more_effects(
     for depth in range(1, most):
         options: list[tuple[Fit, Fit]] = []
         tried: dict[int, list[Fit]] = {}
-        bases, several = [final], max(1, round(BASES * min(1.0, FULL / len(channel))))
-        if depth == 1:
-            causes = {good[0].cause}
-            for claim in good[1:]:
-                near = claim.gain > 0.15 * good[0].gain
-                if claim.cause not in causes and len(causes) < several and near:
-                    causes.add(claim.cause)
-                    bases.append(claim.fit)
+        bases = [final] + (_beginnings(good, len(channel)) if depth == 1 else [])
         for start in bases:
             reached = min((f.criterion for f, _ in options), default=final.criterion)
             plain = start.criterion - reached if len(start.noise) else max(start.criterion - reached, PLAIN)
@@ -322,6 +272,19 @@ def _more_effects(
         final, came, rests = exchanged(channel, best, menu)
         p_values |= {key: significance(*pair) for key, pair in came.items()}
     return final, rests
+
+
+def _beginnings(good: list[Claim], n: int) -> list[Fit]:
+    """Other first effects to go on from: the best of some causes, and of every nature, as a pair's first may be hidden behind many of another."""
+    several = max(1, round(BASES * min(1.0, FULL / n)))
+    causes, natures, out = {good[0].cause}, {good[0].effect.nature}, list[Fit]()
+    for claim in good[1:]:
+        wanted = len(causes) < several or claim.effect.nature not in natures
+        if wanted and claim.cause not in causes and claim.gain > NEAR * good[0].gain:
+            causes.add(claim.cause)
+            natures.add(claim.effect.nature)
+            out.append(claim.fit)
+    return out
 
 
 def _exchangeable(best: Fit, other: Fit, rivals: dict[str, list[str]]) -> None:
@@ -368,32 +331,3 @@ def _importance(final: Fit, claims: list[Claim], simulated: dict[str, float]) ->
         if p < 0.01:
             costs["coloured"] = plain.criterion - final.criterion
     return sorted(costs, key=lambda k: (k == "coloured", -costs[k]))
-
-
-def _follows_input(u: Array, e: Array, lags: int = 20) -> bool:
-    """Whether innovations are predicted by the past input or its cube, which noise is not (p < 1e-8)."""
-    u, n = unit(u), len(e)
-    columns = [np.concatenate((np.zeros(i), x[: n - i])) for x in (u, u**3) for i in range(1, lags + 1)]
-    X = np.stack(columns, axis=1)
-    X = X / (np.sqrt(np.mean(X**2, axis=0)) + 1e-300)
-    r = e - X @ np.linalg.lstsq(X, e, rcond=None)[0]
-    return bool(chi2.sf(gained(n, float(e @ e), float(r @ r)), 2 * lags) < 1e-8)
-
-
-FIRST = 0.01
-"""Level from which on an input's own past is given what bends and other inputs tell of it: where it follows nothing without, it does not with."""
-
-
-def feedback_of(channel: Channel, final: Fit) -> float:
-    """p-value of 'no input follows the noise' by the innovations of a model; 1 where they are model error, not noise."""
-    if channel.step > 0:
-        return 1.0
-    e, inputs = innovations(final.residual, final.noise), final.structure.inputs
-    if any(_follows_input(channel.u[:, j], e) for j in inputs):
-        return 1.0  # the input would seem to follow it
-    alone = {j: feedback_test(channel.u[:, j], e) for j in inputs if not filtered(channel.u[:, j])}
-    p = (
-        max(one, feedback_test(channel.u[:, j], e, more=list(beside(channel.u, j).T))) if one < FIRST else one
-        for j, one in alone.items()
-    )
-    return min(1.0, min(p, default=1.0) * len(inputs))

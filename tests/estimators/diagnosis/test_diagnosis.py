@@ -23,7 +23,7 @@ from estimators.diagnosis.record.measurement import (
     wild_samples,
 )
 from estimators.diagnosis.search import discoveries
-from estimators.diagnosis.search.selection import feedback_test
+from estimators.diagnosis.search.feedback import feedback_test
 from oed.data import Record
 from oed.errors import InputError
 from tests.estimators.diagnosis.case_small import looking_for

@@ -8,7 +8,7 @@ from scipy.signal import butter, lfilter
 from scipy.stats import binom, chi2
 
 from estimators.diagnosis.baseline import best_linear
-from estimators.diagnosis.search.selection import feedback_test
+from estimators.diagnosis.search.feedback import feedback_test
 from estimators.diagnosis.share import explainable_share
 from estimators.diagnosis.share.feedback import filtered, has_feedback, is_answer
 from estimators.diagnosis.share.news import FREE, NEWS, Predictor
