@@ -27,6 +27,8 @@ FINEST = 30.0
 CROSSED = 0.02
 """Of a step, by which it and its level are moved for a derivative: as many samples cross an edge that their number says something."""
 NEAREST = 0.02  # of its first step, the smallest by which an edge is moved
+AROUND = np.array([(a, b) for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0) if a or b])
+"""Ways in which two parameters are moved."""
 COARSE = 0.1
 """Power of its step by which a staircase is preferred: on an input of few levels, finer ones are the same."""
 HARMONIC = (0.5, 1.6)
@@ -76,19 +78,28 @@ def profile(
     return sorted(found, key=lambda entry: entry[0])
 
 
+def descended(
+    around: Callable[[Array, float], Iterable[tuple[float, Array]]], best: tuple[float, Array]
+) -> tuple[float, Array]:
+    """(sum of squares, parameters), moved to the best of those around it at a distance for as long as the error falls, by ever smaller
+    ones: what the samples that cross an edge, or the commands that pass, tell of it has no derivative."""
+    size = 1.0
+    while size > NEAREST:
+        near = min(around(best[1], size), key=lambda entry: entry[0], default=best)
+        best, size = (near, size) if near[0] < best[0] else (best, 0.5 * size)
+    return best
+
+
 def nearer(
     channel: Any, base: Any, part: Any, best: tuple[float, Array], steps: Array
 ) -> tuple[float, Array]:
-    """(sum of squares, parameters) with the last two parameters moved for as long as the error falls, by ever smaller steps: what
-    the samples that cross an edge tell of it has no derivative."""
-    size = 1.0
-    while size > NEAREST:
-        around = np.array([(a, b) for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0) if a or b])
-        kept = best[1][len(base.p) : -2]
-        shapes = (np.concatenate((kept, best[1][-2:] + size * steps * d)) for d in around)
-        near = profile(channel, base, part, shapes, best[1])
-        best, size = (near[0], size) if near and near[0][0] < best[0] else (best, 0.5 * size)
-    return best
+    """(sum of squares, parameters) with the last two parameters moved by steps."""
+
+    def around(p: Array, size: float) -> list[tuple[float, Array]]:
+        shapes = (np.concatenate((p[len(base.p) : -2], p[-2:] + size * steps * d)) for d in AROUND)
+        return profile(channel, base, part, shapes, p)
+
+    return descended(around, best)
 
 
 def firm(base: Any, left: float) -> bool:

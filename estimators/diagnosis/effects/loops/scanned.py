@@ -10,7 +10,7 @@ from scipy.linalg import toeplitz
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
 from estimators.diagnosis.effects.loops.anew import remade
-from estimators.diagnosis.effects.profiled import NEAREST, ended, firm
+from estimators.diagnosis.effects.profiled import AROUND, descended, ended, firm
 
 Array = NDArray[Any]
 
@@ -65,19 +65,18 @@ def _lines(u: Array, back: Array) -> list[tuple[float, float]]:
 
 
 def _closer(channel: Any, structure: Any, best: tuple[float, Array]) -> tuple[float, Array]:
-    """(sum of squares, parameters) with the scans moved for as long as the error falls, by ever smaller steps: their period about the middle
-    of the record, all of them together, or both. Which sample a scan falls into has no derivative."""
-    half, size = 0.5 * len(channel), 1.0
+    """(sum of squares, parameters) with the scans moved closer: their period about the middle of the record, all of them together, or both."""
+    half = 0.5 * len(channel)
     middle = channel.clock.k[0] + half
-    while size > NEAREST:
-        every, at = best[1][-2:]
+
+    def around(p: Array, size: float) -> Iterator[tuple[float, Array]]:
+        every, at = p[-2:]
         period = 0.5 * size * every / half * every  # moves the scans at the ends by half a period
-        around = ([every + a * period, at - a * period * np.rint((middle - at) / every) + 0.5 * b * size]
-                  for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0) if a or b)  # fmt: skip
-        tried = (remade(channel, structure, np.concatenate((best[1][:-2], shape))) for shape in around)
-        near = min(tried, key=lambda entry: entry[0])
-        best, size = (near, size) if near[0] < best[0] else (best, 0.5 * size)
-    return best
+        for a, b in AROUND:
+            shape = every + a * period, at - a * period * np.rint((middle - at) / every) + 0.5 * b * size
+            yield remade(channel, structure, np.concatenate((p[:-2], shape)))
+
+    return descended(around, best)
 
 
 def _scans(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:

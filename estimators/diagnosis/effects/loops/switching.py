@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
 from estimators.diagnosis.effects.loops.anew import remade
-from estimators.diagnosis.effects.profiled import NEAREST, ended, firm, lean, of_order
+from estimators.diagnosis.effects.profiled import descended, ended, firm, lean, of_order
 
 Array = NDArray[Any]
 LONGEST, TRIED, KEPT, FURTHER = 80.0, 24, 2, (0, 1)
@@ -59,15 +59,6 @@ def _tried(channel: Any, bare: Any, part: Any, time: float) -> tuple[float, Arra
     return remade(channel, bare.structure.adding(part), np.append(bare.p, time))
 
 
-def _closer(tried: Callable[[float], tuple[float, Array]], best: tuple[float, Array]) -> tuple[float, Array]:
-    """The time moved for as long as the error falls, by ever smaller steps: which commands pass has no derivative."""
-    size = 1.0
-    while size > NEAREST:
-        near = min((tried(best[1][-1] + way * size) for way in (-1.0, 1.0)), key=_left)
-        best, size = (near, size) if near[0] < best[0] else (best, 0.5 * size)
-    return best
-
-
 def _searched(which: str) -> Callable[..., Iterator[Any]]:
     def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         from estimators.diagnosis.model.structure import Part
@@ -86,7 +77,8 @@ def _searched(which: str) -> Callable[..., Iterator[Any]]:
                 found = sorted(map(tried, grid), key=_left)[:KEPT]
                 if not found or not firm(base, found[0][0]):
                     continue
-                close = sorted((_closer(tried, best) for best in found), key=_left)
+                around = lambda p, size, tried=tried: [tried(p[-1] + way * size) for way in (-1.0, 1.0)]
+                close = sorted((descended(around, best) for best in found), key=_left)
                 fits += ended(channel, bare, part, [p for _, p in close], [1.0])
             yield from lean(channel, sorted(fits, key=lambda f: f.criterion)[:1])
 
