@@ -89,7 +89,8 @@ def augmented(
     """Fits of a model with each further effect of a menu, one per effect and input, the best of its starts.
 
     `best` starts per effect and `iterations` Gauss-Newton steps per start; only the `top` effects whose scores promise
-    most, 0 for all. Where a gain is `needed`, only effects whose scores promise a part of it, and none without a score.
+    most, 0 for all. Where a gain is `needed`, only effects whose scores promise a part of it, and none without a score. What no score
+    leads to is looked for where nothing that has one explains the record.
     """
     wanted = _wanted(menu, base.structure)
     fits = list(
@@ -99,6 +100,8 @@ def augmented(
     if needed <= 0.0 and not (fits and not base.structure.effects and explained(channel, base, fits)):
         steady = _steady(channel, base) if any(e.family == DRIFTS for e in wanted) else None
         for e in wanted:
+            if e.more is not None and fits and not base.structure.effects:
+                yield from _led(channel, base, e, iterations)
             yield from _own(channel, base, e, menu)
             if steady is not None and e.family == DRIFTS:
                 yield from _own(channel, steady, e, menu)
@@ -297,17 +300,21 @@ def _own(channel: Channel, base: Fit, e: Effect, menu: Menu) -> Iterator[Fit]:
     yield from found.values()
 
 
+def _led(channel: Channel, base: Fit, e: Effect, iterations: int) -> Iterator[Fit]:
+    """The fit per input of an effect from the start that the linear model does not lead to."""
+    s = base.structure
+    for j in s.inputs if e.slot is Slot.INPUT else s.inputs[:1]:
+        start = None if e.more is None else e.more(channel, base, j)
+        yield from fitted(channel, base, [] if start is None else [start], iterations)
+
+
 def _scan(channel: Channel, base: Fit, model: Fit, part: Part, best: int) -> list[_Task]:
     """The starts of an effect added to a model: the base, or the base in another layout."""
     found = scored(channel, model, part, best)
     if not np.isfinite(found.promise):
         return []
 
-    def starts() -> list[Start]:
-        further = None if part.effect.more is None else part.effect.more(channel, model, part.channel)
-        return found.starts if further is None else [*found.starts, further]
-
-    return [_Task(part.effect, found.promise + base.deviance - model.deviance, starts)]
+    return [_Task(part.effect, found.promise + base.deviance - model.deviance, lambda: found.starts)]
 
 
 def _refined_fits(
