@@ -5,7 +5,7 @@ These files import the rooms of the model and the search inside functions only, 
 
 from estimators.diagnosis.effects.disturbances import ADDED, NOISE, STEPWISE
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Sizes, Slot
-from estimators.diagnosis.effects.fed import SEVERAL
+from estimators.diagnosis.effects.fed import PRODUCT, SEVERAL
 from estimators.diagnosis.effects.input import INPUT
 from estimators.diagnosis.effects.loops import LOOPS
 from estimators.diagnosis.effects.loops.ageing import AGED
@@ -22,7 +22,7 @@ from oed.errors import InputError
 __all__ = ["CATALOGUE", "Clock", "Effect", "Nature", "Sizes", "Slot", "named"]
 
 CATALOGUE: tuple[Effect, ...] = (
-    *INPUT, *PROFILED, *LOOPS, *PROCESS, *SEVERAL, *PLANT, *ROTATION, *MODULATED, *AGED, *PATH, *STORE, *OUTPUT, *FOLDING, *SENSORS, *TIMING, *ADDED, *STEPWISE, *NOISE,
+    *INPUT, *PROFILED, *LOOPS, *PROCESS, *SEVERAL, *PLANT, *ROTATION, *MODULATED, *AGED, *PATH, PRODUCT, *STORE, *OUTPUT, *FOLDING, *SENSORS, *TIMING, *ADDED, *STEPWISE, *NOISE,
 )  # fmt: skip
 """Every effect that the diagnosis knows; hand in more with `diagnose(..., effects=[*CATALOGUE, mine])`."""
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import combinations, product
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -11,13 +11,23 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before, numbered
 from estimators.diagnosis.effects.input import after, any_linear, told_beside
-from estimators.residual.algebra import delayed
 
 Array = NDArray[Any]
 
 
 def _rational(size: int, order: int) -> list[tuple[str, str]]:
     return numbered({"b": "y/u"}, size) + numbered({"f": "1"}, size)
+
+
+def settled_through(p: Array, delay: float, before: float, x: Array) -> Array:
+    """A signal (N,) through a linear block, b then f in p, that had settled on a value before."""
+    from estimators.diagnosis.model.structure import stable_polynomial
+
+    b, f = np.split(p, 2)
+    if not stable_polynomial(f):
+        return np.full(len(x), np.inf)
+    num, den = np.concatenate((np.zeros(int(delay)), b)), np.concatenate(([1.0], f))
+    return before * num.sum() / den.sum() + np.asarray(lfilter(num, den, x - before))
 
 
 def _paths(channel: Any, base: Any, effect: Effect, j: int, sizes: tuple[int, ...]) -> Iterator[Any]:
@@ -129,71 +139,6 @@ OUTFLOW = Effect(
 PATH = (MODE, CROSS, DELAY_ORDER, ORDER_ONE, ORDER, LAG_BEFORE, INITIAL, OUTFLOW)
 
 
-LEAST_PRODUCT = 12.0
-"""Likelihood ratio that the lags of a product must promise over the linear model, for its path to be fitted."""
-HELD = ("other", "centre", "other_centre", "delay")
-"""Parameters of a product that are no unknowns: which input, from 1, what the two are counted from, samples of delay."""
-
-
-def _product(U: Array, channel: int, p: Array, clock: Clock) -> Array:
-    """The product of two inputs, each about its centre, through a linear block of its own that had settled before."""
-    from estimators.diagnosis.model.structure import stable_polynomial
-
-    size = (len(p) - len(HELD)) // 2
-    b, f, (other, *centres, delay) = p[:size], p[size : 2 * size], p[2 * size :]
-    if not stable_polynomial(f):
-        return np.full(len(U), np.inf)
-    pair = U[:, channel], U[:, int(other) - 1]
-    before, both = ((x - centres[0]) * (y - centres[1]) for x, y in ([level_before(x) for x in pair], pair))
-    num, den = np.concatenate((np.zeros(int(delay)), b)), np.concatenate(([1.0], f))
-    return before * num.sum() / den.sum() + np.asarray(lfilter(num, den, both - before))
-
-
-def _product_shape(size: int, order: int) -> list[tuple[str, str]]:
-    held = zip(HELD, ("1", "u", "u", "sample"), strict=True)
-    return numbered({"b": "y/u^2"}, size) + numbered({"f": "1"}, size) + list(held)
-
-
-def _promise(channel: Any, base: Any, x: Array) -> float:
-    """Likelihood ratio that a few lags of a signal promise behind the poles of the linear model, its parameters taken out."""
-    s, keep = base.structure, channel.keep
-    y = np.asarray(lfilter([1.0], np.concatenate(([1.0], base.p[: s.order])), x)) if s.layout == "tf" else x
-    X = delayed(y[:, None], range(1, s.order + 3))
-    Q = np.linalg.qr(base.jacobian[keep])[0] if base.jacobian.size else np.zeros((int(keep.sum()), 0))
-    r, X = (z[keep] - Q @ (Q.T @ z[keep]) for z in (base.residual, X))
-    left = r - X @ np.linalg.lstsq(X, r, rcond=1e-9)[0]
-    return base.n * float(np.log((r @ r + 1e-300) / (left @ left + 1e-300)))
-
-
-def _products(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """Every two inputs whose product promises something, its path started from a linear fit to the residual."""
-    from estimators.diagnosis.model.fitting import fit
-    from estimators.diagnosis.model.linear import fit_linear
-    from estimators.diagnosis.model.structure import Part, Structure
-
-    s = base.structure
-    for i, j in combinations(sorted(s.inputs), 2):
-        centres = np.mean(channel.u[channel.keep][:, [i, j]], axis=0)
-        x = np.prod(channel.u[:, [i, j]] - centres, axis=1)
-        if np.std(x) == 0.0 or _promise(channel, base, x - np.mean(x)) < LEAST_PRODUCT:
-            continue
-        residual = replace(channel, u=(x - np.mean(x))[:, None], y=base.residual, step=0.0)
-        rough = [fit_linear(residual, Structure(n, (0,), delay=s.delay), rough=True) for n in (1, 2)]
-        f = min(rough, key=lambda f: f.criterion)
-        size = f.structure.order
-        p = np.concatenate((base.p, f.p[size:], f.p[:size], [j + 1.0, *centres, 1.0 + s.delay]))
-        scales = np.concatenate((base.scales, f.scales[size:], f.scales[:size], np.zeros(len(HELD))))
-        yield fit(channel, s.adding(Part(PRODUCT, i, size)), p, scales, noise=base.noise)
-
-
-PRODUCT = Effect(
-    key="product_of_inputs", cause="product_of_inputs", nature=Nature.INPUT_STATIC, slot=Slot.PATH, trials=5,
-    sentence="two inputs act through their product: one is the gain of the other",
-    shape=_product_shape, signal=_product, search=_products,
-)  # fmt: skip
-PATH = (*PATH, PRODUCT)
-
-
 TIMES, NEARER = 40, 0.5 ** np.arange(1, 5)
 """Of a record, at any of which the way an input acts may change, and shares of what lies between two by which the best is moved."""
 POLES_MORE = (0, 1, 2)
@@ -223,7 +168,6 @@ def _switches(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]
     """The time from which an input, or all of them, beside what it did before, explains most, where any mixture of lags stands for both
     ways; then a linear fit to the inputs and to these from there on, with poles in common, and last each way with its own."""
     from estimators.diagnosis.effects.profiled import firm
-    from estimators.diagnosis.model.fitting import fit
 
     s, n, keep = base.structure, len(channel), channel.keep
     if s.layout != "tf" or s.order < 1 or s.effects or channel.step > 0:
@@ -242,36 +186,51 @@ def _switches(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]
             time = max((time + a * share * n / TIMES for a in (0.0, -1.0, 1.0)), key=told)
         if not firm(base, float(r @ r) - told(time)):
             continue
-        ways = (_two_ways(channel, base, which, time, more) for more in POLES_MORE)
-        begun = [fit(channel, *way, noise=base.noise, iterations=10, colour=False) for way in ways]
-        for f in sorted(begun, key=lambda f: f.criterion)[:2]:
-            yield fit(channel, f.structure, f.p, f.scales, noise=base.noise, iterations=30)
+        centres = np.mean(channel.u[:, list(which)], axis=0)
+        gated = (channel.u[:, list(which)] - centres) * after(channel.clock, time)[:, None]
+        yield from _two_ways(
+            channel, base, SINCE, which, gated,
+            [([0.0, 1.0 + s.delay, c, time], [float(np.std(channel.y)), 0.0, float(np.std(channel.u[:, j])), 1.0])
+             for j, c in zip(which, centres, strict=True)],
+        )  # fmt: skip
 
 
 def _two_ways(
-    channel: Any, base: Any, which: tuple[int, ...], time: float, more: int
-) -> tuple[Any, Array, Array]:
-    """Structure, parameters and scales of a linear model, of so many more poles, beside what some inputs add from a time on."""
+    channel: Any, base: Any, effect: Effect, which: tuple[int, ...], added: Array, places: list[tuple[list[float], list[float]]]
+) -> Iterator[Any]:  # fmt: skip
+    """Fits of a linear model beside what some inputs add, (N, len(which)), through poles of their own: first they have them in common.
+
+    `places` the values and scales of the effect's last parameters for each of the inputs.
+    """
+    from estimators.diagnosis.model.fitting import fit
+
+    ways = (_in_common(channel, base, effect, which, added, places, more) for more in POLES_MORE)
+    begun = [fit(channel, *way, noise=base.noise, iterations=10, colour=False) for way in ways]
+    for f in sorted(begun, key=lambda f: f.criterion)[:2]:
+        yield fit(channel, f.structure, f.p, f.scales, noise=base.noise, iterations=30)
+
+
+def _in_common(
+    channel: Any, base: Any, effect: Effect, which: tuple[int, ...], added: Array, places: list[tuple[list[float], list[float]]], more: int,
+) -> tuple[Any, Array, Array]:  # fmt: skip
+    """Structure, parameters and scales of such a model of so many more poles, before each way has its own."""
     from estimators.diagnosis.effects.profiled import of_order
     from estimators.diagnosis.model.linear import fit_linear
     from estimators.diagnosis.model.structure import Part
 
     s, u = base.structure, channel.u
-    centres = np.mean(u[:, list(which)], axis=0)
-    gated = (u[:, list(which)] - centres) * after(channel.clock, time)[:, None]
     order, count = s.order + more, len(s.inputs)
     taps = max(order, s.taps)
     wide = replace(s, order=order, taps=taps, inputs=tuple(range(count + len(which))))
-    f = fit_linear(replace(channel, u=np.column_stack((u[:, list(s.inputs)], gated))), wide, noise=base.noise)
+    f = fit_linear(replace(channel, u=np.column_stack((u[:, list(s.inputs)], added))), wide, noise=base.noise)
     new, p, scales = of_order(base, order, taps)
     p[: new.plant_size], p[new.plant_size :] = f.p[: new.plant_size], f.p[wide.plant_size :]
     scales[: new.plant_size] = f.scales[: new.plant_size]
     poles = np.concatenate((f.p[:order], np.zeros(taps - order)))
-    for i, (j, centre) in enumerate(zip(which, centres, strict=True)):
+    for i, (j, (place, own)) in enumerate(zip(which, places, strict=True)):
         at = slice(new.plant_size + i * taps, new.plant_size + (i + 1) * taps)
-        new = new.adding(Part(SINCE, j, taps))
-        p = np.concatenate((p, f.p[at], poles, [0.0, 1.0 + s.delay, centre, time]))
-        own = [float(np.std(channel.y)), 0.0, float(np.std(u[:, j])), 1.0]
+        new = new.adding(Part(effect, j, taps))
+        p = np.concatenate((p, f.p[at], poles, place))
         scales = np.concatenate((scales, f.scales[at], np.ones(taps), own))
     return new, p, scales
 
@@ -281,7 +240,50 @@ SINCE = Effect(
     sentence="from a time on an input acts in another way", parameters={"time": "sample"},
     shape=_since_shape, signal=_since, search=_switches,
 )  # fmt: skip
-PATH = (*PATH, SINCE)
+
+
+LEVELS = np.linspace(0.1, 0.9, 17)
+"""Of what an input does, at which it may begin to act in another way: a twentieth from one to the next, as the best is moved closer."""
+
+
+def _beyond(x: Array, p: Array, clock: Clock) -> Array:
+    """What an input adds above a level, through a linear block of its own that had settled before."""
+    *_, delay, level = p
+    return settled_through(p[:-2], delay, max(level_before(x) - level, 0.0), np.maximum(x - level, 0.0))
+
+
+def _splits(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """The level beyond which an input, beside what it does below, explains most, where any mixture of lags stands for both ways."""
+    from estimators.diagnosis.effects.profiled import firm
+
+    s, keep = base.structure, channel.keep
+    if s.layout != "tf" or s.order < 1 or s.effects or channel.step > 0:
+        return
+    Z = any_linear(channel.u[:, list(s.inputs)], keep)
+    r = channel.y[keep] - Z @ (Z.T @ channel.y[keep])
+    for j in s.inputs:
+        u = channel.u[:, j]
+
+        def told(level: float, u: Array = u) -> float:
+            return told_beside(np.maximum(u - level, 0.0), Z, r, keep)
+
+        levels = np.unique(np.quantile(u[keep], LEVELS))
+        apart = float(np.max(np.diff(levels), initial=0.0))
+        level = float(max(levels, key=told))
+        for share in NEARER:
+            level = max((level + a * share * apart for a in (0.0, -1.0, 1.0)), key=told)
+        if firm(base, float(r @ r) - told(level)):
+            place = [1.0 + s.delay, level], [0.0, float(np.std(u))]
+            yield from _two_ways(channel, base, BEYOND, (j,), np.maximum(u - level, 0.0)[:, None], [place])
+
+
+BEYOND = Effect(
+    key="acts_beyond", cause="split_range", nature=Nature.DYNAMIC, slot=Slot.PATH, trials=20,
+    sentence="beyond a level an input acts in another way: a heater beside a cooler, the second valve of a split range",
+    parameters={"level": "u"}, apply=_beyond, search=_splits,
+    shape=lambda size, order: [*_rational(size, order), ("delay", "sample"), ("level", "u")],
+)  # fmt: skip
+PATH = (*PATH, SINCE, BEYOND)
 
 
 BENDS = tuple((a, b) for a in (5.0, 10.0, 20.0) for b in (5.0, 10.0, 20.0))

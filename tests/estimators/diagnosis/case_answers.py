@@ -26,6 +26,7 @@ NAMED = {
     "play": ("tf", [("backlash_input", [0.4, -0.5]), ("backlash_sampled", [0.1])], {}),
     "rate": ("tf", [("rate_limit", [0.5]), ("lag", [0.6])], {"rest": False}),
     "motor": ("tf", [("three_point", [0.3, 0.2, 0.1, 0.15])], {"rest": False}),
+    "a cooler": ("tf", [("acts_beyond", [0.1, -0.5, 1.0, 0.2])], {"rest": False}),
     "a burner": ("tf", [("switched_late", [1.3])], {"rest": False}),
     "its fan": ("tf", [("switched_late", [-2.0])], {"rest": False}),
     "a compressor": ("tf", [("least_pause", [4.4])], {"rest": False}),

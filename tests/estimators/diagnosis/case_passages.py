@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.estimators.diagnosis.case_parts import FINE, linear, process, sensor
+from tests.estimators.diagnosis.case_parts import FINE, lag, linear, process, sensor
 
 __all__ = ["PASSAGES"]
 
@@ -113,6 +113,13 @@ def gap(u, a):
     return 3.0 / (3.5 - a * sensor(u, u[0], 0.6)) if a else linear(u)
 
 
+def ranged_apart(u, a):
+    """A vessel that is heated slowly above the middle of its controller's range, and cooled quickly and strongly below."""
+    heated = lag(np.maximum(u - 0.2, 0.0), 0.94)
+    cooled = (1.0 + 0.8 * a) * lag(np.maximum(0.2 - u, 0.0), 0.94 - 0.35 * a)
+    return sensor(heated - cooled, heated[0] - cooled[0], 0.85)
+
+
 _FLOW = {"mean": 4.0, "size": 1.2}
 PASSAGES = {
     # effect: maker, order of the linear model, form of the input
@@ -120,5 +127,6 @@ PASSAGES = {
     "power_limited": (tram, 3, {"hold": 25}), "gain_worn of a coil": (coil, 2, {"mean": 4.0}), "input_bit": (coded, 2, {}),
     "capacity_level": (funnel, 3, {"mean": 4.0, "size": 1.5}), "output_hyperbola": (gap, 2, {}),
     "loss_periodic": (aired, 2, {"mean": 4.0}),
+    "acts_beyond": (ranged_apart, 2, {}),
     "gain_cycle": (fouled, 2, {}), "multiplexed of instants": (two_converters, 2, {}), "output_autorange": (autoranged, 2, {}),
 }  # fmt: skip

@@ -175,6 +175,15 @@ def _store(w: Wiring, x: Any, p: Array) -> Any:
     return curve_of_charge(charge.x, p)
 
 
+def _beyond(w: Wiring, x: Any, p: Array) -> Any:
+    *_, delay, level = p
+    b, f = np.split(p[:-2], 2)
+    above = w.ca.fmax(x - level, 0.0)
+    before = w.value(above)
+    num, den = np.concatenate((np.zeros(int(delay)), b)), np.concatenate(([1.0], f))
+    return before * num.sum() / den.sum() + w.rational([num], den, [above - before])
+
+
 def _line(w: Wiring, x: Any, p: Array) -> Any:
     return terms.hinges_term(len(p) // 2)(x, p)
 
@@ -196,7 +205,7 @@ TWINS: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
     "plays": _side_by_side(False), "plays_output": _side_by_side(True),
     "backlash_input": lambda w, x, p: _play(w, x, abs(p[0]), p[1]), "backlash_sampled": lambda w, x, p: _play(w, x, abs(p[0]), reads=True), **LOOPED,
     "gain_of_angle": _of_angle, "gain_fatigue": _used_up, "gain_worn": _worn, "loss_heat": _warmed, "stiction": _stem(False), "stiction_sliding": _stem(True), "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag, "recycle": _recycled,
-    "gain_heat": _heated, "integral_curve": _store, "sandwich": _line, "input_lines": _line_from_origin,
+    "gain_heat": _heated, "integral_curve": _store, "acts_beyond": _beyond, "sandwich": _line, "input_lines": _line_from_origin,
     "output_lines": _line_from_origin, "reported_on_change": _reported, "sensor_paced": _paced, "automatic_gain": _levelled,
 }  # fmt: skip
 """Of the catalogue's effects that are no map of one sample and its time."""
