@@ -86,11 +86,11 @@ def refit(channel: Channel, f: Fit, *, iterations: int = 15) -> Fit:
 def augmented(
     channel: Channel, base: Fit, menu: Menu, *, best: int = 2, iterations: int = 25, top: int = 0, needed: float = 0.0
 ) -> Iterator[Fit]:  # fmt: skip
-    """Fits of a model with each further effect of a menu, one per effect and input, the best of its starts.
+    """Fits of a model with each further effect of a menu, per effect and input the best of its starts and that of one no score leads to.
 
     `best` starts per effect and `iterations` Gauss-Newton steps per start; only the `top` effects whose scores promise
     most, 0 for all. Where a gain is `needed`, only effects whose scores promise a part of it, and none without a score. What no score
-    leads to is looked for where nothing that has one explains the record.
+    leads to is tried where nothing that has one explains the record.
     """
     wanted = _wanted(menu, base.structure)
     fits = list(

@@ -33,7 +33,7 @@ def channel_of(u, y):
 
 
 def added(channel, base, key):
-    return next(iter(augmented(channel, base, Menu((named(key),)))))
+    return min(augmented(channel, base, Menu((named(key),))), key=lambda f: f.criterion)
 
 
 def test_a_step_at_the_wrong_place_is_exchanged_and_an_idle_effect_taken_out():
