@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
-from estimators.diagnosis.effects.input import after, banked
+from estimators.diagnosis.effects.input import banked
 from estimators.diagnosis.effects.output import KEPT
 from estimators.diagnosis.effects.profiled import FIRM, firm, gained, of_order
 
@@ -30,7 +30,9 @@ Window = tuple[int, int]
 
 
 def _misread(x: Any, p: Array, clock: Clock) -> Any:
-    wrongly = after(clock, p[2]) - (after(clock, p[3]) if len(p) > 3 else 0.0)
+    wrongly = 1.0 * (clock.k > p[2]) - (
+        1.0 * (clock.k > p[3]) if len(p) > 3 else 0.0
+    )  # each sample is read at once
     return x + wrongly * ((p[0] - 1.0) * x + p[1])
 
 
@@ -107,8 +109,7 @@ def _able(first: Any, last: Any, n: int, lasting: bool) -> Any:
     """Whether windows have enough samples and leave enough, and end well before the record, or with it where what begins is lasting."""
     size = last - first
     ends = last == n if lasting else last < (1.0 - ENDS) * n
-    begins = first > (ENDS * n if lasting else 0)
-    return begins & ends & (size >= max(FEWEST, LEAST * n)) & (n - size >= LEFT * n)
+    return (first > ENDS * n) & ends & (size >= max(FEWEST, LEAST * n)) & (n - size >= LEFT * n)
 
 
 def _nearest(x: Array, channel: Any, window: Window, lasting: bool) -> tuple[float, float, float, Window]:
@@ -146,10 +147,12 @@ def _made_for(channel: Any, base: Any, windows: _Windows, window: Window, lastin
     s, n, k, size = base.structure, len(channel), channel.clock.k, float(np.std(channel.y))
     *_, window = _nearest(windows.foretold(window), channel, window, lasting)
     out = _inside(window, n)
-    clear = replace(channel, y=np.where(out, windows.foretold(window), channel.y), keep=channel.keep & ~out)
-    for order in {s.order, max(s.order - 1, 1)}:  # one of the linear model's poles may imitate the window
+    clear = replace(channel, keep=channel.keep & ~out)
+    # one of the linear model's poles may imitate the window; from what is shown or is foretold there, poles of several lags begin otherwise
+    between = channel.y, np.where(out, windows.foretold(window), channel.y)
+    for order, y in product(sorted({s.order, max(s.order - 1, 1)}), between):
         few, _, _ = of_order(base, order, min(s.taps, order))
-        f = fit_linear(clear, few, rough=True)
+        f = fit_linear(replace(clear, y=y), few, rough=True)
         x = simulate(few, f.p, channel.u, channel.clock)
         if not np.all(np.abs(x - windows.mean) < FARTHEST * size):
             continue
@@ -157,7 +160,7 @@ def _made_for(channel: Any, base: Any, windows: _Windows, window: Window, lastin
         # what is added is so behind the sensor
         placed = zip(few.parts, few.slices(), strict=True)
         added = sum(f.p[sl].sum() for part, sl in placed if part.effect is OFFSET)
-        shape = [gain, zero + (gain - 1.0) * added, k[first] - 1.0, *([] if lasting else [k[last] - 1.0])]
+        shape = [gain, zero + (gain - 1.0) * added, k[first] - 0.5, *([] if lasting else [k[last] - 0.5])]
         scales = np.concatenate((f.scales, [1.0, size, 1.0, 1.0][: len(shape)]))
         if firm(base, left):
             yield (
@@ -184,7 +187,7 @@ def _searched(effect: Callable[[], Effect], lasting: bool) -> Callable[..., Iter
         if made:
             _, few, p, scales = min(made, key=lambda entry: entry[0])
             # the linear model's noise is mostly the window, and would draw the fit from it
-            yield fit(channel, few.adding(Part(effect(), s.inputs[0])), p, scales, iterations=20)
+            yield fit(channel, few.adding(Part(effect(), s.inputs[0])), p, scales, iterations=30)
 
     return search
 
