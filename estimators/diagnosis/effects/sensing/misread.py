@@ -26,6 +26,7 @@ the record by which their ends are apart."""
 ENDS = 0.05  # of a record, at either end of which nothing is taken to change for good
 FARTHEST = 1e3
 """Standard deviations of the output, of a signal that a sensor may read: what explodes is beyond them."""
+EDGE = 1e6  # scale of a time, by which it is known for an edge that samples cross: it has no derivative
 Window = tuple[int, int]
 
 
@@ -161,7 +162,7 @@ def _made_for(channel: Any, base: Any, windows: _Windows, window: Window, lastin
         placed = zip(few.parts, few.slices(), strict=True)
         added = sum(f.p[sl].sum() for part, sl in placed if part.effect is OFFSET)
         shape = [gain, zero + (gain - 1.0) * added, k[first] - 0.5, *([] if lasting else [k[last] - 0.5])]
-        scales = np.concatenate((f.scales, [1.0, size, 1.0, 1.0][: len(shape)]))
+        scales = np.concatenate((f.scales, [1.0, size, EDGE, EDGE][: len(shape)]))
         if firm(base, left):
             yield (
                 base.n * np.log(max(left, 1e-300)) + len(f.p) * np.log(base.n),
