@@ -12,7 +12,6 @@ from scipy.signal import lfilter
 from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
 from estimators.diagnosis.effects.input import banked
-from estimators.diagnosis.effects.output import KEPT
 from estimators.diagnosis.effects.profiled import FIRM, firm, gained, of_order
 
 Array = NDArray[Any]
@@ -26,6 +25,9 @@ the record by which their ends are apart."""
 ENDS = 0.05  # of a record, at either end of which nothing is taken to change for good
 FARTHEST = 1e3
 """Standard deviations of the output, of a signal that a sensor may read: what explodes is beyond them."""
+SAME, SOONER = (-1, 0), (0, 1, 2)
+"""Poles more than the linear model has, some of which may imitate a window; and without its delay, which may stand for those that one hides."""
+COUNTED = 0.6  # share of the samples, from which on the others may be those of a window that stand out of the linear model
 EDGE = 1e6  # scale of a time, by which it is known for an edge that samples cross: it has no derivative
 Window = tuple[int, int]
 
@@ -127,7 +129,10 @@ def _nearest(x: Array, channel: Any, window: Window, lasting: bool) -> tuple[flo
         best = (left, gain, zero, window)
         better = np.where(keep, (y - x) ** 2 - (y - gain * x - zero) ** 2, 0.0)
         before = np.concatenate(([0.0], np.cumsum(better)))
-        end = n if lasting else int(np.argmax(before - np.minimum.accumulate(before)))
+        rise = before - np.minimum.accumulate(before)
+        end = (
+            n if lasting else n - int(np.argmax(rise[::-1]))
+        )  # samples at an edge that do not count stood out as it does
         window = int(np.argmin(before[: end + 1])), end
         if not _able(*window, n, lasting):
             break
@@ -149,10 +154,12 @@ def _made_for(channel: Any, base: Any, windows: _Windows, window: Window, lastin
     *_, window = _nearest(windows.foretold(window), channel, window, lasting)
     out = _inside(window, n)
     clear = replace(channel, keep=channel.keep & ~out)
-    # one of the linear model's poles may imitate the window; from what is shown or is foretold there, poles of several lags begin otherwise
+    forms = {(max(s.order + more, 1), s.delay) for more in SAME}
+    forms |= {(s.order + more, 0) for more in SOONER if s.delay > 0}
+    # what stands in for the samples that are out makes poles begin otherwise
     between = channel.y, np.where(out, windows.foretold(window), channel.y)
-    for order, y in product(sorted({s.order, max(s.order - 1, 1)}), between):
-        few, _, _ = of_order(base, order, min(s.taps, order))
+    for (order, delay), y in product(sorted(forms), between):
+        few = replace(of_order(base, order, order)[0], delay=delay)
         f = fit_linear(replace(clear, y=y), few, rough=True)
         x = simulate(few, f.p, channel.u, channel.clock)
         if not np.all(np.abs(x - windows.mean) < FARTHEST * size):
@@ -180,7 +187,7 @@ def _searched(effect: Callable[[], Effect], lasting: bool) -> Callable[..., Iter
         from estimators.diagnosis.model.structure import Part
 
         s = base.structure
-        if s.layout != "tf" or s.effects or np.mean(channel.keep) < KEPT or not np.ptp(channel.y) > 0.0:
+        if s.layout != "tf" or s.effects or np.mean(channel.keep) < COUNTED or not np.ptp(channel.y) > 0.0:
             return
         tried, made = _Windows(channel, base), []
         for window in tried.best(lasting):
