@@ -178,6 +178,16 @@ def set_anew(u, a):
     return linear(u) + a * (-0.4 * (k > 240) + 0.25 * (k > 455))
 
 
+def wrong_span(u, a):
+    """A transmitter whose span is set wrongly for a while, with a zero that this moves, and set right again."""
+    return np.array([x - a * (0.35 * x + 0.2) if 251 <= k < 433 else x for k, x in enumerate(linear(u))])
+
+
+def other_range(u, a):
+    """A transmitter that is switched to another range, whose gain and zero are not the first one's."""
+    return np.array([x + a * (0.25 * x - 0.3) if k >= 362 else x for k, x in enumerate(linear(u))])
+
+
 def damper(u, a):
     """A flap's motor that starts a quarter of a unit off, runs at one speed and halts a fifteenth before its command."""
     angle, way, out = u[0], 0.0, np.empty(len(u))
@@ -248,5 +258,6 @@ DRIVES = {
     "coulomb_grip": (buffers, 2, {}),
     "switched_late": (purged, 2, {"two": True}), "least_pause": (locked_out, 2, {"two": True}), "least_run": (kept_running, 2, {"two": True}),
     "steps_input": (loaded_twice, 2, {}), "steps_output": (set_anew, 2, {}),
+    "misread": (wrong_span, 2, {}), "misread_since": (other_range, 2, {}),
     "position_periodic of a wheel that was parked": (parked, 2, {"mean": 2.6, "size": 0.5}),
 }  # fmt: skip

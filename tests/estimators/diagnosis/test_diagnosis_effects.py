@@ -58,6 +58,7 @@ TIMED = {
     "steps_input": ([0.3, 70.4, -0.2, 90.0], _stepped), "steps_output": ([0.3, 70.4, -0.2, 90.0], _stepped),
     "tones": ([0.2, 0.5, -0.4], lambda x, k, p: x + p[1] * math.cos(p[0] * k) + p[2] * math.sin(p[0] * k)),
     "waveform": ([0.2, 0.5, -0.4], lambda x, k, p: x + p[1] * math.cos(p[0] * k) + p[2] * math.sin(p[0] * k)),
+    "misread": ([0.7, 0.2, 30.4, 70.4], lambda x, k, p: p[0] * x + p[1] if p[2] < k <= p[3] else x), "misread_since": ([0.7, 0.2, 70.4], lambda x, k, p: p[0] * x + p[1] if p[2] < k else x),
     "drift": ([0.1, 0.7], lambda x, k, p: x + p[0] + p[1] * k / 150),
     "gain_periodic": ([0.2, 0.5, -0.4], lambda x, k, p: x * (1 + p[1] * math.cos(p[0] * k) + p[2] * math.sin(p[0] * k))),
     "gain_drift": ([0.4], lambda x, k, p: x * (1 + p[0] * k / 150)),
