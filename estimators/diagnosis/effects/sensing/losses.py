@@ -1,6 +1,7 @@
 """Sensors that lose what they read while it moves too fast, and show their last good reading: an echo, an image, a target."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,8 @@ JUMPS, STANDS = (0.8, 0.9, 0.95), 0.3
 before moves at most."""
 LIMITS = np.concatenate((np.linspace(0.1, 0.9, 17), np.linspace(0.91, 1.0, 19)))
 """Quantiles of a signal's rates that are tried as the limit; then the rates between the two next to the best."""
+SIZES, EARLY = (1, 3), (0, 1, 2)
+"""Poles, and one more, and samples of delay that are tried beside the linear model's where repeats say what is read."""
 INSTANTS = (0.0, 0.5)
 """Samples after the middle of a step, of which the rate may count: that of the step itself, and at its end."""
 BEGUN, ROUNDS, FURTHER, GAINING = 2, 5, 60, 0.999
@@ -136,7 +139,10 @@ def _lost(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         return
     told = held_in_motion(channel.u, channel.y)
     if told.any():
-        found = [_made(channel, base, told, LATER)]
+        # what is held looks late, and like more poles than the signal has
+        forms = (replace(s, order=n, taps=n) for n in sorted({*SIZES, s.order}))
+        ways = (*(d - s.delay for d in EARLY), *LATER)
+        found = [_made(channel, replace(base, structure=form), told, ways) for form in forms]
     else:
         starts = sorted((_made(channel, base, held, (0,)) for held in _promising(channel, base)), key=_first)
         found = [_again(channel, base, best) for best in starts[:BEGUN]]
