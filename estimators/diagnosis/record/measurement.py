@@ -173,10 +173,44 @@ def refreshed_every(u: Array, y: Array) -> int:
 
 
 def lost_samples(u: Array, y: Array) -> NDArray[np.bool_]:
-    """(N,) samples of an output (N,) that are no readings: they show the last one, and the system does not rest at inputs (N, nu)."""
+    """(N,) samples of an output (N,) that are no readings: they show the last one, at any time, and the system does not rest at
+    inputs (N, nu)."""
     every = refreshed_every(u, y)
     held = held_samples(y) if every == 1 else np.concatenate(([False], y[1:] == y[:-1]))
+    held &= ~held_in_motion(u, y)
     return held & ~resting_samples(u, y, max(RESTING, 2 * every - 1))
+
+
+def held_in_motion(u: Array, y: Array) -> NDArray[np.bool_]:
+    """(N,) samples of an output (N,) that show the last reading while it moves quickly: a model can say which they are. Where it
+    comes back as an input (N, nu) moves, it has not rested until then."""
+    held = np.zeros(len(y), dtype=bool)
+    if refreshed_every(u, y) == 1:
+        held = held_samples(y) & ~resting_samples(u, y, len(y))  # but for a rest at the start
+    return held if _quick(y, held) else np.zeros(len(y), dtype=bool)
+
+
+ROWS, WINDOWS, QUICK = 8, 20, 0.85
+"""Rows of repeats, and as long stretches of readings, from which on their rates are compared; and the mean share of the stretches that
+moved less: of eight rows that come at any time chance makes it that once in three thousand records."""
+
+
+def _quick(y: Array, held: NDArray[np.bool_]) -> bool:
+    """Whether a signal moved more during rows of repeats than in as many readings elsewhere: it was lost for its rate."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], held.astype(int), [0]))))
+    rows = [(a - 1, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b < len(y)]
+    if len(rows) < ROWS:
+        return False
+    stretches = np.diff(np.concatenate(([0], edges, [len(y)])))[::2]  # of readings
+    # rows that are longer than any stretch are held to the longest that there are enough of
+    sizes = np.arange(1, max(int(stretches.max()), 2))
+    most = int(np.sum([np.sum(np.maximum(stretches - size, 0)) >= WINDOWS for size in sizes]))
+    before, moved = np.cumsum(held), {}
+    for size in {min(b - a, most) for a, b in rows} - {0}:
+        good = ~held[:-size] & (before[size:] == before[:-size])
+        moved[size] = np.sort(np.abs(y[size:] - y[:-size])[good]) / size
+    rates = [(moved.get(min(b - a, most), np.zeros(0)), abs(y[b] - y[a]) / (b - a)) for a, b in rows]
+    return most > 0 and float(np.mean([np.searchsorted(m, rate) / len(m) for m, rate in rates])) > QUICK
 
 
 def at_reversals(wild: NDArray[np.bool_], simulated: Array) -> bool:

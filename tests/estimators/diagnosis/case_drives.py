@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.estimators.diagnosis.case_parts import FINE, lag, linear, swing, wheel
+from tests.estimators.diagnosis.case_parts import FINE, lag, linear, read, swing, wheel
 
 __all__ = ["DRIVES"]
 
@@ -237,9 +237,22 @@ def kept_running(u, a):
     return _in_its_time(u, run=8.4 * a)
 
 
+def out_of_echo(u, a):
+    """A level gauge that loses its echo while the level moves fast, and shows the last one."""
+    now = np.arange(len(u)) * 1.0
+    y = read(u, now)
+    speed = FINE * np.abs(y - read(u, np.maximum(now - 1.0 / FINE, 0.0)))
+    shown = y.copy()
+    for k in range(1, len(u)):
+        if a * speed[k] > 0.4:
+            shown[k] = shown[k - 1]
+    return shown
+
+
 DRIVES = {
     # effect: maker, order of the linear model, form of the input
     "reported_in_time": (in_time, 2, {}),
+    "held_in_motion": (out_of_echo, 2, {"hold": 15}),
     "sensor_rate": (transmitter, 3, {}),
     "geared_servo": (joint, 4, {"hold": 15}),
     "geared_load": (driveline, 3, {"hold": 15}),

@@ -4,6 +4,7 @@ from estimators.diagnosis.effects.sensing.curves import CURVES
 from estimators.diagnosis.effects.sensing.gains import CARRIED, LEVELLED
 from estimators.diagnosis.effects.sensing.jumps import LOST
 from estimators.diagnosis.effects.sensing.misread import MISREAD
+from estimators.diagnosis.effects.sensing.losses import LOST_IN_MOTION
 from estimators.diagnosis.effects.sensing.ranges import AUTORANGE, RANGES
 from estimators.diagnosis.effects.sensing.rates import TRAILING
 from estimators.diagnosis.effects.sensing.reports import REPORTING
@@ -13,5 +14,5 @@ from estimators.diagnosis.effects.sensing.turns import TURNS
 __all__ = ["REPORTING", "SENSORS"]
 
 SENSORS = (
-    *CURVES, RANGES, AUTORANGE, SINE, *REPORTING, PACED, TREADS, BANDED, TURNS, LEVELLED, CARRIED, SWUNG, SLIPPED, TRAILING, LOST, *MISREAD.values(),
+    *CURVES, RANGES, AUTORANGE, SINE, *REPORTING, PACED, TREADS, BANDED, TURNS, LEVELLED, CARRIED, SWUNG, SLIPPED, TRAILING, LOST, LOST_IN_MOTION, *MISREAD.values(),
 )  # fmt: skip

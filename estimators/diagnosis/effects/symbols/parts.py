@@ -47,6 +47,15 @@ def _reported(w: Wiring, x: Any, p: Array) -> Any:
     return s.after
 
 
+def _lost_in_motion(w: Wiring, x: Any, p: Array) -> Any:
+    first, ca = w.value(x), w.ca
+    s = w.state([first, first, 0.0])
+    step = _read(w, x - s.x[1], 0.0)
+    good = ca.if_else(ca.fabs(step + p[1] * (step - s.x[2])) > abs(p[0]), s.x[0], x)
+    s.after = ca.vertcat(good, x, step)
+    return good
+
+
 def _paced(w: Wiring, x: Any, p: Array) -> Any:
     d = x - p[2]
     s = w.state(w.value(x) - p[2])
@@ -206,7 +215,7 @@ TWINS: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
     "backlash_input": lambda w, x, p: _play(w, x, abs(p[0]), p[1]), "backlash_sampled": lambda w, x, p: _play(w, x, abs(p[0]), reads=True), **LOOPED,
     "gain_of_angle": _of_angle, "gain_fatigue": _used_up, "gain_worn": _worn, "loss_heat": _warmed, "stiction": _stem(False), "stiction_sliding": _stem(True), "hysteresis": _hysteresis, "hysteresis_rate": _rate_driven, "delay": _delay, "lag": _lag, "recycle": _recycled,
     "gain_heat": _heated, "integral_curve": _store, "acts_beyond": _beyond, "sandwich": _line, "input_lines": _line_from_origin,
-    "output_lines": _line_from_origin, "reported_on_change": _reported, "sensor_paced": _paced, "automatic_gain": _levelled,
+    "output_lines": _line_from_origin, "reported_on_change": _reported, "held_in_motion": _lost_in_motion, "sensor_paced": _paced, "automatic_gain": _levelled,
 }  # fmt: skip
 """Of the catalogue's effects that are no map of one sample and its time."""
 
