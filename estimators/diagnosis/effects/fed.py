@@ -132,10 +132,11 @@ def _supplied(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]
                 remade(channel, few.adding(part), np.append(p, q[len(base.p) :])) for _, q in tried[:REMADE]
             ]
             starts = [entry for entry in (*([] if more else tried), *anew) if np.isfinite(entry[0])]
-            if starts and firm(base, min(left for left, _ in starts)):
-                scales[: few.plant_size] = plant_scales(few, min(starts, key=lambda entry: entry[0])[1])
-                bare = replace(base, structure=few, p=p, scales=scales)
-                fits += ended(channel, bare, part, (q for _, q in starts), steps)
+            if not starts or not firm(base, min(left for left, _ in starts)):
+                break
+            scales[: few.plant_size] = plant_scales(few, min(starts, key=lambda entry: entry[0])[1])
+            bare = replace(base, structure=few, p=p, scales=scales)
+            fits += ended(channel, bare, part, (q for _, q in starts), steps)
         yield from lean(channel, sorted(fits, key=lambda f: f.criterion)[:1])
 
 
