@@ -216,8 +216,9 @@ class Effect:
         (channel, fit, input) -> a further start, or None.
     search : callable, optional
         (channel, fit, inputs not in the model) -> fits, where starts are no grid of shapes.
-    each : bool
-        Whether it reads one input by itself inside the plant: it is tried with each of several; else all act as one.
+    each, joint : bool
+        Whether it reads one input by itself inside the plant: it is tried with each of several, else all act as one; whether its
+        signal is (N, nu), what becomes of every input as the parts before it have left it.
     alone : bool
         Whether it is looked for in a linear model only, as it replaces its dynamics.
     lagged : bool
@@ -242,10 +243,8 @@ class Effect:
         (parameters, clock) -> (parameter, (N,) derivative) of an added signal, by those parameters that it is linear in.
     between, ahead : bool
         Whether at the output it follows the signal between the samples, or reads it later than the clock says, beyond a record's end.
-    settles : bool
-        Whether it began before a later experiment, and has settled there.
-    reversing : bool
-        Whether it acts where a motion turns: misfits there are no outliers.
+    settles, reversing : bool
+        Whether it began before a later experiment, and has settled there; whether it acts where a motion turns: misfits there are no outliers.
     two_sided : bool
         Whether the record must reach +-limit for both sides to be known.
 
@@ -274,6 +273,7 @@ class Effect:
     more: Callable[[Any, Any, int], Any] | None = None
     search: Callable[[Any, Any, tuple[int, ...]], Iterator[Any]] | None = None
     each: bool = False
+    joint: bool = False
     alone: bool = False
     lagged: bool = False
     block: bool = False

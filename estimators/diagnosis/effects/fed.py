@@ -1,11 +1,11 @@
-"""What several inputs do together: feed a process, as two inflows a vessel or a heater beside what is around it, or multiply.
+"""What several inputs do together: feed a process, as two inflows a vessel or a heater beside what is around it, draw on one supply, multiply.
 
 What acts on one input leaves the others to the linear part, beside the process; these go through it, each by its weight.
 """
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -14,14 +14,30 @@ from scipy.signal import lfilter
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before, numbered
 from estimators.diagnosis.effects.path import settled_through
+from estimators.diagnosis.effects.loops.anew import remade
 from estimators.diagnosis.effects.process import PROCESS, Passing
-from estimators.diagnosis.effects.profiled import MOST_FLOWS, firm
+from estimators.diagnosis.effects.profiled import (
+    BEGUN,
+    MOST_FLOWS,
+    ended,
+    firm,
+    lean,
+    of_order,
+    profile,
+)
 from estimators.residual.algebra import delayed
 
 Array = NDArray[Any]
 FED = ("rise_and_fall", "loss", "outflow_root", "vessel", "capacity_bump", "slipping")
 """Processes of their own level, which has what feeds it for a limit."""
 LEAST = 1e-9  # of a weight, by which it is moved for a derivative where it is none
+DRAWS, DEMANDED = (0.2, 0.45, 1.0, 2.2, 5.0), (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 0.95)
+"""Of the quotient of two inputs' mean sizes, what a unit of one draws from a common supply over a unit of the other, and the quantiles of
+what they ask for together at which the supply may end, that are tried."""
+REMADE, FURTHER = 2, (0, 1, 2)
+"""Supplies that poles are made anew for, and poles that the linear part may have more than the linear model, in which what is held back
+hides them."""
+NOTHING = 1e-300  # a supply and what is asked of it, below which their quotient is no number
 
 
 def _mixed(U: Array, channel: int, weights: Array) -> Array:
@@ -81,7 +97,70 @@ def _fed(e: Effect) -> Effect:
     return effect
 
 
-SEVERAL = tuple(_fed(e) for e in PROCESS if e.key in FED and isinstance(e.apply, Passing))
+def _rationed(U: Array, channel: int, p: Array, clock: Clock) -> Array:
+    """(N, nu) inputs, those that draw on a supply p[0] cut back in proportion where together they ask for more."""
+    draws, limit = drawn(channel, p), max(abs(float(p[0])), NOTHING)
+    asked = np.abs(U[:, : len(p)]) @ draws
+    out = U.copy()
+    out[:, np.flatnonzero(draws)] *= (limit / np.maximum(asked, limit))[:, None]
+    return out
+
+
+def drawn(channel: int, p: Array) -> Array:
+    """(nu,) what a unit of each input draws, over one of its own: the others', in their order, are p[1:], none of what has no part in it."""
+    return np.insert(np.abs(p[1:]), channel, 1.0)
+
+
+def _supplied(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """Every two inputs or more of which one acts here, with the linear model's poles, then with poles made anew, or more of them."""
+    from estimators.diagnosis.model.linear import plant_scales
+    from estimators.diagnosis.model.structure import Part
+
+    s, nu = base.structure, channel.u.shape[1]
+    if s.layout != "tf" or not 1 < nu <= MOST_FLOWS:
+        return
+    size, moving = np.mean(np.abs(channel.u), axis=0) + NOTHING, np.flatnonzero(np.ptp(channel.u, axis=0))
+    for group in (g for count in range(2, nu + 1) for g in combinations(moving.tolist(), count)):
+        if not (own := set(group) & set(s.inputs)):
+            continue
+        j = min(own)
+        ratios = np.delete(np.where(np.isin(np.arange(nu), group), size[j] / size, 0.0), j)
+        part, shapes = Part(SHARED, j, nu - 1), _supplies(channel.u, j, ratios)
+        steps = [float(np.std(np.abs(channel.u[:, j]))), *ratios]
+        tried = profile(channel, base, part, shapes)[:BEGUN]
+        fits: list[Any] = []
+        for more in FURTHER if s.order else ():
+            few, p, scales = of_order(base, s.order + more, s.taps + more)
+            anew = [
+                remade(channel, few.adding(part), np.append(p, q[len(base.p) :])) for _, q in tried[:REMADE]
+            ]
+            starts = [entry for entry in (*([] if more else tried), *anew) if np.isfinite(entry[0])]
+            if not starts or not firm(base, min(left for left, _ in starts)):
+                break
+            scales[: few.plant_size] = plant_scales(few, min(starts, key=lambda entry: entry[0])[1])
+            bare = replace(base, structure=few, p=p, scales=scales)
+            fits += ended(channel, bare, part, (q for _, q in starts), steps)
+        yield from lean(channel, sorted(fits, key=lambda f: f.criterion)[:1])
+
+
+def _supplies(U: Array, j: int, ratios: Array) -> Iterator[list[float]]:
+    """Supplies that end at quantiles of what is asked for by draws about given ones."""
+    for draws in product(DRAWS, repeat=int(np.count_nonzero(ratios))):
+        p = np.concatenate(([0.0], ratios))
+        p[np.flatnonzero(p)] *= draws
+        asked = np.abs(U) @ drawn(j, p)
+        yield from ([float(limit), *p[1:]] for limit in np.quantile(asked, DEMANDED))
+
+
+SHARED = Effect(
+    key="shared_limit", cause="input_saturation", nature=Nature.INPUT_STATIC, slot=Slot.INPUT, trials=40, joint=True,
+    sentence="inputs draw on a common supply: where together they ask for more than it gives, all are cut back in proportion",
+    parameters={"limit": "u", "draw": "1"}, apply=lambda x, p, clock: np.clip(x, -abs(p[0]), abs(p[0])), signal=_rationed,
+    search=_supplied,
+    shape=lambda size, order: [("limit", "u"), *(numbered({"draw": "1"}, size) if size > 1 else [("draw", "1")])],
+)  # fmt: skip
+
+SEVERAL = (SHARED, *(_fed(e) for e in PROCESS if e.key in FED and isinstance(e.apply, Passing)))
 
 
 LEAST_PRODUCT = 12.0

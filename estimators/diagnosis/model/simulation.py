@@ -168,6 +168,10 @@ def _acted(s: Structure, p: Array, u: Array, clock: Clock, rest: bool) -> Array 
             U[:, j] = part.blocked(U[:, j], p[sl])
         elif read is None:
             U[:, j] = part.apply(U[:, j], p[sl], clock)
+        elif part.effect.joint:
+            every = u.copy()
+            every[:, list(s.inputs)] = U
+            U = read(every, part.channel, p[sl], clock)[:, list(s.inputs)]
         else:
             U[:, j] = read(u, part.channel, p[sl], clock)
         if not math.isfinite(U[-1, j]):

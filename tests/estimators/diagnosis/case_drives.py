@@ -247,6 +247,33 @@ def out_of_echo(u, a):
         if a * speed[k] > 0.4:
             shown[k] = shown[k - 1]
     return shown
+def _served(u, a, supply=4.0, weight=1.3):
+    """(N, 2) what two get that draw on one store, each filled again by the next sample: both go on until it is empty."""
+    out = np.empty_like(u)
+    for k, asked in enumerate(u):
+        left, got = supply if a else np.inf, np.zeros(2)
+        for piece in np.tile(asked / FINE, (FINE, 1)):
+            needs = abs(piece[0]) + weight * abs(piece[1])
+            part = min(1.0, left / needs) if needs > 0.0 else 1.0
+            left, got = max(left - needs, 0.0), got + part * piece
+        out[k] = got
+    return out
+
+
+def two_pumps(u, a):
+    """Two pumps on one header that fill a vessel, whose level swings."""
+    got = _served(u, a)
+    return linear(got[:, 0]) + 0.6 * linear(got[:, 1])
+
+
+def its_neighbour(u, a):
+    """A motor on the battery of another one, both of which run either way; only one is seen."""
+    return linear(_served(u, a, 1.2, 0.7)[:, 0])
+
+
+def capped(u, a):
+    """A pump that gives no more than so much, beside one that does."""
+    return linear(np.minimum(u[:, 0], 2.2) if a else u[:, 0]) + 0.6 * linear(u[:, 1])
 
 
 DRIVES = {
@@ -262,6 +289,8 @@ DRIVES = {
     "store_full": (overflowing, 2, {"hold": 15}),
     "outflow_root_fed": (basin, 2, {"mean": 4.0, "inputs": 2}),
     "capacity_bump_fed": (melting, 2, {"mean": 4.0, "inputs": 2}),
+    "shared_limit": (two_pumps, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}), "shared_limit of a neighbour": (its_neighbour, 2, {"inputs": 2}),
+    "saturation_upper of two": (capped, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}),
     "strut": (seat, 3, {"hold": 10}),
     "slipping": (slipping_belt, 2, {"hold": 10}),
     "flow_up": (rectified, 3, {"hold": 15, "mean": 1.0}),

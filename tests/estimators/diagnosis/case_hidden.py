@@ -363,6 +363,7 @@ ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     ("gain_worn of a coil", "gain_settles"), ("gain_worn of a coil", "gain_decay"), ("gain_settles", "gain_worn of a coil"),
     ("gain_cycle", "gain_periodic"), ("gain_cycle", "waveform"), ("waveform", "gain_cycle"), ("gain_cycle", "delay_periodic"), ("gain_of_angle", "gain_cycle"),
     ("waveform", "gain_periodic"), ("gain_periodic", "waveform"), ("waveform", "multiplexed of lags"), ("pulse_input", "waveform"), ("steps_input", "waveform"), ("steps_output", "waveform"),
+    ("shared_limit", "product_of_inputs"), ("product_of_inputs", "shared_limit"), ("shared_limit", "saturation_upper of two"), ("saturation_upper", "shared_limit"), ("shared_limit", "outflow_root_fed"), ("loss_fed", "shared_limit"), ("saturation", "shared_limit of a neighbour"), ("product_of_inputs", "shared_limit of a neighbour"), ("shared_limit", "conveyed"),
     ("coulomb_grip", "plays"), ("coulomb_grip", "hysteresis_rate"), ("coulomb_grip", "stiffness_cubic"), ("hysteresis_rate", "coulomb_grip"),
     ("three_point", "rate_in_loop"), ("three_point", "geared_servo"), ("rate_limit_servo", "three_point"), ("stiction", "three_point"),
     ("switched_late", "rise_and_fall of a switched heater"), ("least_pause", "rise_and_fall of a switched heater"), ("switched_late", "least_pause"), ("least_pause", "switched_late"), ("least_pause", "least_run"), ("least_run", "least_pause"), ("three_point", "least_pause"), ("rate_limit_servo", "switched_late"), ("stiction", "least_run"),

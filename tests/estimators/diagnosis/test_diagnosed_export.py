@@ -16,7 +16,7 @@ from estimators.diagnosis.discovery.form import Factor, Form, Term, flow_of
 from estimators.diagnosis.discovery.model import DiscoveredModel
 from estimators.diagnosis.discovery.starts import Scales
 from estimators.diagnosis.discovery.validation import StartPrior
-from estimators.diagnosis.effects import Effect, Nature, Slot
+from estimators.diagnosis.effects import Effect, Nature, Slot, named
 from estimators.diagnosis.ladder.steps import Gain
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.remainder.mixture import Remainder
@@ -92,6 +92,23 @@ def test_a_named_answer_is_its_twin(name):
 def test_a_named_answer_settles_under_an_operating_level_as_the_simulation_does(name):
     layout, effects, options = NAMED[name]
     _held(_model(named_answer(layout, effects, options | {"rest": False})), level=1.5)
+
+
+@pytest.mark.parametrize("heard", [(0,), (1,), (0, 1)])
+def test_inputs_that_share_a_supply_are_cut_back_in_the_twin_too(heard):
+    """Also by an input that the output does not hear."""
+    effect, p = named("shared_limit"), [*POLES["tf"], 0.05, 0.2][: 2 + 2 * len(heard)]
+    s = Structure(2, heard).adding(Part(effect, heard[-1]))
+    answer = replace(named_answer("tf", [], {}), structure=s, p=np.array([*p, 1.1, 0.7]))
+    model = DiagnosedModel((answer,), np.full(1, 0.1), 0.5, ("u1", "u2"), ("y1",))
+    u = np.hstack((_input(), np.roll(_input(), 40)))
+    run = model.simulate(u)
+    assert (
+        np.abs(run - replace(model, answers=(replace(answer, p=np.array([*p, 1e9, 0.7])),)).simulate(u)).max()
+        > 0.05
+    )
+    for one in (model, DiagnosedModel.from_json(model.to_json())):
+        np.testing.assert_allclose(_twin(one, u, [0.0, 0.0]), run, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("level, off", [(31.0, 31.0), (0.5, 0.0)])

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Slot
-from estimators.diagnosis.effects.symbols.parts import REMEDY, acted, blocked, inside_plant
+from estimators.diagnosis.effects.symbols.parts import REMEDY, acted, blocked, inside_plant, rationed
 from estimators.diagnosis.effects.symbols.terms import factor_term
 from estimators.diagnosis.effects.symbols.wiring import Wiring
 
@@ -66,7 +66,9 @@ def _plant(w: Wiring, s: Any, p: Array, k: Any, length: int) -> Any:
     parts = list(zip(s.parts, s.slices(), strict=True))
     U = {j: w.u[j] for j in s.inputs}
     for part, sl in parts:
-        if part.effect.slot is Slot.INPUT:
+        if part.effect.joint:
+            U = rationed(w, part, U, p[sl])
+        elif part.effect.slot is Slot.INPUT:
             U[part.channel] = acted(w, part, U[part.channel], p[sl], k, length)
         elif part.effect.slot in (Slot.PLANT, Slot.FORM):
             U[part.channel] = blocked(w, part, U[part.channel], p[sl])

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects import named
 from estimators.diagnosis.effects.effect import Clock, Effect
+from estimators.diagnosis.effects.fed import NOTHING, SHARED, drawn
 from estimators.diagnosis.effects.input import aside
 from estimators.diagnosis.effects.kernels.recursion_kernels import LEAST_PACE, WITHIN, warm_rest
 from estimators.diagnosis.effects.loops import play_widths
@@ -340,6 +341,15 @@ def acted(w: Wiring, part: Any, x: Any, p: Array, k: Any, length: int) -> Any:
     if known and effect.key in TIMED:
         return TIMED[effect.key](w, x, q, k)
     return TWINS[effect.key](w, x, q) if known else _map(w, effect, x, q, k, length)
+
+
+def rationed(w: Wiring, part: Any, U: Mapping[int, Any], p: Array) -> dict[int, Any]:
+    """What becomes of the inputs that act here, which with others draw on one supply."""
+    if part.effect is not SHARED:
+        w.refuse(f"the effect {part.key!r} ({part.effect.sentence}) has no CasADi twin", REMEDY)
+    draws, limit = drawn(part.channel, p), max(abs(float(p[0])), NOTHING)
+    asked = sum(draw * w.ca.fabs(U.get(j, w.u[j])) for j, draw in enumerate(draws))
+    return {j: x * (limit / w.ca.fmax(asked, limit) if draws[j] else 1.0) for j, x in U.items()}
 
 
 def _known() -> tuple[Effect, ...]:
