@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before, numbered
-from estimators.diagnosis.effects.path import settled_through
 from estimators.diagnosis.effects.loops.anew import remade
+from estimators.diagnosis.effects.path import settled_through
 from estimators.diagnosis.effects.process import PROCESS, Passing
 from estimators.diagnosis.effects.profiled import (
     BEGUN,

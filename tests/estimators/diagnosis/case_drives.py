@@ -247,6 +247,8 @@ def out_of_echo(u, a):
         if a * speed[k] > 0.4:
             shown[k] = shown[k - 1]
     return shown
+
+
 def _served(u, a, supply=4.0, weight=1.3):
     """(N, 2) what two get that draw on one store, each filled again by the next sample: both go on until it is empty."""
     out = np.empty_like(u)

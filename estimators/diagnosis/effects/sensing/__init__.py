@@ -3,8 +3,8 @@
 from estimators.diagnosis.effects.sensing.curves import CURVES
 from estimators.diagnosis.effects.sensing.gains import CARRIED, LEVELLED
 from estimators.diagnosis.effects.sensing.jumps import LOST
-from estimators.diagnosis.effects.sensing.misread import MISREAD
 from estimators.diagnosis.effects.sensing.losses import LOST_IN_MOTION
+from estimators.diagnosis.effects.sensing.misread import MISREAD
 from estimators.diagnosis.effects.sensing.ranges import AUTORANGE, RANGES
 from estimators.diagnosis.effects.sensing.rates import TRAILING
 from estimators.diagnosis.effects.sensing.reports import REPORTING
