@@ -61,6 +61,7 @@ def _tried(channel: Any, bare: Any, part: Any, time: float) -> tuple[float, Arra
 
 def _searched(which: str) -> Callable[..., Iterator[Any]]:
     def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+        from estimators.diagnosis.model.linear import plant_scales
         from estimators.diagnosis.model.structure import Part
         from estimators.diagnosis.record.measurement import switched
 
@@ -79,6 +80,7 @@ def _searched(which: str) -> Callable[..., Iterator[Any]]:
                     continue
                 around = lambda p, size, tried=tried: [tried(p[-1] + way * size) for way in (-1.0, 1.0)]
                 close = sorted((descended(around, best) for best in found), key=_left)
+                scales[: few.plant_size] = plant_scales(few, close[0][1])
                 fits += ended(channel, bare, part, [p for _, p in close], [1.0])
             yield from lean(channel, sorted(fits, key=lambda f: f.criterion)[:1])
 
