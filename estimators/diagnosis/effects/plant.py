@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot
 from estimators.diagnosis.effects.input import LEAST
-from estimators.diagnosis.effects.loops.ageing import CHANGES, leaky, with_heat
+from estimators.diagnosis.effects.loops.ageing import CHANGES, MEMORIES, leaky, with_heat
 
 Array = NDArray[Any]
 
@@ -23,6 +23,9 @@ SWINGS = 0.9
 SPRINGS = ("stiffness_cubic", "stiffness")
 
 
+SOFTEST, SOFTENED, WARMED, BRIEF = 0.95, (-1.0, 0.5), (-0.5, 2.0), 0.02
+"""Share of a stiffness that work takes from it, at most, as something holds the position still; shares, and dampings in those there are, that
+are tried; and of a record, the time constant of what rests between two bursts."""
 DRIVE, LAG = 2, 0.4
 """Poles of a drive before a play, at most, and where each starts: two are a servo, a third is hardly seen."""
 
@@ -210,6 +213,14 @@ def _stiffness_by(p, v, u, q, s, c):
     return c[0] * s * p
 
 
+def _worked_by(p, v, u, q, s, c):
+    return -np.minimum(c[0], SOFTEST) * s / (s + np.abs(c[1]) + LEAST) * p
+
+
+def _thickened_by(p, v, u, q, s, c):
+    return c[0] * s / (s + np.abs(c[1]) + LEAST) * v
+
+
 def _spring_by(p, v, u, q, s, c):
     return c[0] * s * (p - u)
 
@@ -242,6 +253,16 @@ def _squared(U: Array, channel: int, p: Array, clock: Clock) -> Array:
 def _with_square(s: Sizes) -> Grid:
     size = s.su**2 + float(np.mean(s.u)) ** 2
     return [[f / size] for f in CHANGES], [1.0 / size]
+
+
+def _with_motion(s: Sizes, unit: float = 1.0, shares: tuple[float, ...] = SOFTENED) -> Grid:
+    size, n = float(np.mean(s.position**2)) + LEAST, len(s.u)
+    return [[f * unit, size, m * n] for f in shares for m in (BRIEF, *MEMORIES)], [unit, size, n / 10.0]
+
+
+def _paced(c: Any) -> dict[str, float]:
+    """Never below a sample: what follows at once is no state."""
+    return {"pace": 1.0 / max(abs(float(c[2])), 1.0)}
 
 
 def _with_time(s: Sizes) -> Grid:
@@ -303,4 +324,10 @@ MODULATED = (
     _coefficient("stiffness_squared", "bilinear", Nature.DYNAMIC,
                  "the squared input changes the stiffness at once, as a voltage softens an electrostatic spring", _stiffness_by,
                  _squared, _with_square, {"share": "1/u^2"}),
+    _inside("stiffness_worked", "slow_hidden_state", "the stiffness follows a slow state that the squared deflection feeds: rubber that softens "
+            "as it is worked, and stiffens again at rest", parameters={"share": "1", "half": "u^2", "time": "sample"}, trials=20,
+            force=_worked_by, inside=_paced, starts=_with_motion, layouts=MOVING - {"integrator"}, family="heat"),
+    _inside("damping_worked", "slow_hidden_state", "the damping follows a slow state that the squared deflection feeds: a damper that its work warms",
+            parameters={"share": "sample", "half": "u^2", "time": "sample"}, trials=20, force=_thickened_by, inside=_paced,
+            layouts=MOVING - {"integrator"}, starts=lambda s: _with_motion(s, s.damping, WARMED), family="heat"),
 )  # fmt: skip

@@ -45,7 +45,7 @@ PLAIN = {
     "clock_settles.samples": "shift at the end", "lag.pole": "pole in the z-plane", "wrapped.pole": "pole in the z-plane",
     "lost_samples.samples": "number of samples", "stiffness_gap.slope": "stiffness beyond it, over the first", "stiffness_upper.slope": "change of stiffness, over the first",
     "stiffness_lower.slope": "change of stiffness, over the first",
-    "clearance_sprung.spring": "stiffness of the load's own spring, over the drive's", "stiffness_heat.time": "time constant", "time": "time of the change",
+    "clearance_sprung.spring": "stiffness of the load's own spring, over the drive's", "stiffness_heat.time": "time constant", "stiffness_worked.time": "time constant", "damping_worked.time": "time constant", "stiffness_worked.share": "share of the stiffness that is lost in the end", "damping_worked.share": "damping that comes in the end", "half": "mean square of the deflection at which half of it is", "time": "time of the change",
 }  # fmt: skip
 """What a parameter is called where its key is a letter or too short to be understood; elsewhere the key has its words."""
 

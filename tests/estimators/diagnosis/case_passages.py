@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.estimators.diagnosis.case_parts import FINE, lag, linear, process, sensor
+from tests.estimators.diagnosis.case_parts import FINE, lag, linear, process, sensor, swing
 
 __all__ = ["PASSAGES"]
 
@@ -108,6 +108,27 @@ def aired(u, a):
     return sensor(out, u[0])
 
 
+def _of_late(force):
+    """A force that also reads the mean square of its position over some forty samples."""
+    square = [0.0]
+
+    def acts(x, v, f, t):
+        square[0] += (x * x - square[0]) / (40.0 * FINE)
+        return force(x, v, f, square[0])
+
+    return acts
+
+
+def rubber(u, a):
+    """A mount that softens as it is worked, and stiffens again at rest."""
+    return swing(_of_late(lambda x, v, f, s: 0.09 * (f - (1.0 - 0.5 * a * s / (s + 2.0)) * x) - 0.06 * v), u)
+
+
+def damper(u, a):
+    """A damper whose oil thickens as its work mixes it."""
+    return swing(_of_late(lambda x, v, f, s: 0.09 * (f - x) - 0.03 * (1.0 + 4.0 * a * s / (s + 1.5)) * v), u)
+
+
 def gap(u, a):
     """A capacity between plates: the reciprocal of what is left of a gap."""
     return 3.0 / (3.5 - a * sensor(u, u[0], 0.6)) if a else linear(u)
@@ -127,6 +148,7 @@ PASSAGES = {
     "power_limited": (tram, 3, {"hold": 25}), "gain_worn of a coil": (coil, 2, {"mean": 4.0}), "input_bit": (coded, 2, {}),
     "capacity_level": (funnel, 3, {"mean": 4.0, "size": 1.5}), "output_hyperbola": (gap, 2, {}),
     "loss_periodic": (aired, 2, {"mean": 4.0}),
+    "stiffness_worked": (rubber, 2, {}), "damping_worked": (damper, 2, {}),
     "acts_beyond": (ranged_apart, 2, {}),
     "gain_cycle": (fouled, 2, {}), "multiplexed of instants": (two_converters, 2, {}), "output_autorange": (autoranged, 2, {}),
 }  # fmt: skip

@@ -228,7 +228,7 @@ def test_what_has_no_twin_is_refused_by_name_with_what_to_do():
         "clock_slips": ("tf", [30.0, 0.2, 1.5]), "resonance_drift": ("oscillator", [0.2]), "damping_settles": ("oscillator", [0.2, 2.5]),
         "stiffness_settles": ("oscillator", [0.2, 2.5]), "inertia_settles": ("oscillator", [0.2, 0.1, 2.5]), "resonance_settles": ("oscillator", [0.2, 2.5]),
         "input_staged": ("tf", [0.5, 0.3, 0.1]), "output_dead_band": ("tf", [0.4, 0.1, 0.1]),
-        "acts_since": ("tf", [0.1, -0.5, 0.3, 1.0, 0.2, 50.3]), "output_autorange": ("tf", [0.3, 0.5, -0.2, 0.4]), "multiplexed": ("tf", [2.0, 1.0, 1.1, 0.1, 0.0, 0.3]),
+        "stiffness_worked": ("oscillator", [0.2, 1.0, 40.0]), "acts_since": ("tf", [0.1, -0.5, 0.3, 1.0, 0.2, 50.3]), "output_autorange": ("tf", [0.3, 0.5, -0.2, 0.4]), "multiplexed": ("tf", [2.0, 1.0, 1.1, 0.1, 0.0, 0.3]),
     }  # fmt: skip
     for key, (layout, q) in refused.items():
         with pytest.raises(

@@ -23,7 +23,8 @@ class Elements(NamedTuple):
     """What acts inside a plant and is no function of its present state alone; every field 0 where it is not there.
 
     Dry friction of level (1 +- tilt) (coulomb + grip |p| + static exp(-(v / speed)^2)), a spring on the hysteretic part of a
-    Bouc-Wen element that saturates at `width`, and a stop that holds the first state within +-stop.
+    Bouc-Wen element that saturates at `width`, a stop that holds the first state within +-stop, and a state that follows the squared
+    position at a rate per sample, `pace`, and modulates the forces.
 
     """
 
@@ -35,6 +36,7 @@ class Elements(NamedTuple):
     width: float = 0.0
     stop: float = 0.0
     grip: float = 0.0
+    pace: float = 0.0
 
 
 class Held(NamedTuple):
@@ -198,8 +200,12 @@ def simulate_feedback(drive, held, elements, x0, steps, c, f, g):  # pragma: no 
     z = 0.0
     z1 = 0.0
     gv = 0.0
+    worked = 0.0
+    taken = 1.0 - np.exp(-elements.pace / steps)
     for i in range(m):
         gv += velocity[i] * gamma_w[i]
+        worked += position[i] * x[i]
+    worked = worked**2 if elements.pace > 0.0 else 0.0  # at rest where the plant is
     # linear: most fits of the screening
     idle = forces == 0 and not dry and not bending and elements.stop == 0.0
     for k in range(n):
@@ -225,9 +231,9 @@ def simulate_feedback(drive, held, elements, x0, steps, c, f, g):  # pragma: no 
                 v += velocity[i] * x[i]
             w = elements.spring * z
             if forces > 0:
-                w += _called(f, p, v, drive[k, nu + 1], x[m - 1], drive[k, nu], c[0])  # pyright: ignore[reportCallIssue]
+                w += _called(f, p, v, drive[k, nu + 1], x[m - 1], drive[k, nu] + worked, c[0])  # pyright: ignore[reportCallIssue]
             if forces > 1:
-                w += _called(g, p, v, drive[k, nu + 3], x[m - 1], drive[k, nu + 2], c[1])  # pyright: ignore[reportCallIssue]
+                w += _called(g, p, v, drive[k, nu + 3], x[m - 1], drive[k, nu + 2] + worked, c[1])  # pyright: ignore[reportCallIssue]
             p1 = 0.0
             v1 = 0.0
             e = 0.0
@@ -239,9 +245,9 @@ def simulate_feedback(drive, held, elements, x0, steps, c, f, g):  # pragma: no 
                 z1 = hysteresis_step(z, p1 - p, elements.width)
             ahead = elements.spring * z1
             if forces > 0:
-                ahead += _called(f, p1, v1, drive[k, nu + 1], e, drive[k, nu], c[0])  # pyright: ignore[reportCallIssue]
+                ahead += _called(f, p1, v1, drive[k, nu + 1], e, drive[k, nu] + worked, c[0])  # pyright: ignore[reportCallIssue]
             if forces > 1:
-                ahead += _called(g, p1, v1, drive[k, nu + 3], e, drive[k, nu + 2], c[1])  # pyright: ignore[reportCallIssue]
+                ahead += _called(g, p1, v1, drive[k, nu + 3], e, drive[k, nu + 2] + worked, c[1])  # pyright: ignore[reportCallIssue]
             w = 0.5 * (w + ahead)
             if dry and gv != 0.0:
                 v1 = 0.0
@@ -254,6 +260,8 @@ def simulate_feedback(drive, held, elements, x0, steps, c, f, g):  # pragma: no 
                 p1 += position[i] * x[i]
             if bending:
                 z = hysteresis_step(z, p1 - p, elements.width)
+            if elements.pace > 0.0:
+                worked += taken * (p1 * p1 - worked)
             if elements.stop > 0.0 and abs(x[0]) > elements.stop:
                 x[0] = elements.stop if x[0] > 0.0 else -elements.stop
                 x[1] = min(x[1], 0.0) if x[0] > 0.0 else max(x[1], 0.0)

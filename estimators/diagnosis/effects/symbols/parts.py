@@ -378,7 +378,8 @@ def inside_plant(w: Wiring, s: Any, p: Array, u: Any) -> Any:
     forces, elements = [], {}
     for part, sl in zip(s.parts, s.slices(), strict=True):
         effect, q = part.effect, p[sl][part.own :]
-        if effect.signal is not None or effect.change is not None:
+        paced = effect.inside is not None and "pace" in effect.inside(q)
+        if effect.signal is not None or effect.change is not None or paced:
             w.refuse(f"the effect {effect.key!r} changes a coefficient of the plant while it runs", REMEDY)
         forces += [] if effect.force is None else [(effect.force, q)]
         elements |= {} if effect.inside is None else effect.inside(q)
