@@ -85,9 +85,8 @@ def _standing(steps: Array, jump: float) -> NDArray[np.bool_]:
     return held
 
 
-_Made = tuple[
-    float, Any, tuple[float, float, float]
-]  # criterion, linear fit, squares left with a limit and its instant
+# criterion, linear fit, squares left with a limit and its instant
+_Made = tuple[float, Any, tuple[float, float, float]]
 NONE: _Made = (np.inf, None, (np.inf, 0.0, 0.0))
 
 

@@ -33,9 +33,9 @@ Window = tuple[int, int]
 
 
 def _misread(x: Any, p: Array, clock: Clock) -> Any:
-    wrongly = 1.0 * (clock.k > p[2]) - (
-        1.0 * (clock.k > p[3]) if len(p) > 3 else 0.0
-    )  # each sample is read at once
+    """Each sample is read at once: a time between two of them is an edge."""
+    over = 1.0 * (clock.k > p[3]) if len(p) > 3 else 0.0
+    wrongly = 1.0 * (clock.k > p[2]) - over
     return x + wrongly * ((p[0] - 1.0) * x + p[1])
 
 
