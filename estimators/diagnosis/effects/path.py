@@ -1,6 +1,6 @@
 """Linear dynamics that the model lacks: paths beside the plant, more poles, longer delays, a state at the start, a store."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import product
 from typing import Any
@@ -100,13 +100,8 @@ def _initial_states(channel: Any, base: Any, others: tuple[int, ...]) -> Iterato
     X = free_responses(base.structure, base.p, len(channel))
     theta = np.linalg.lstsq(X[channel.keep], base.residual[channel.keep], rcond=None)[0]
     scales = np.concatenate((base.scales, np.abs(theta) + 0.1 * np.abs(theta).max() + 1e-300))
-    yield fit(
-        channel,
-        base.structure.adding(Part(INITIAL)),
-        np.concatenate((base.p, theta)),
-        scales,
-        noise=base.noise,
-    )
+    new, p = base.structure.adding(Part(INITIAL)), np.concatenate((base.p, theta))
+    yield fit(channel, new, p, scales, noise=base.noise)
 
 
 def _linear(key: str, cause: str, slot: Slot, trials: float, sentence: str, **fields: Any) -> Effect:
@@ -164,16 +159,32 @@ def _since_shape(size: int, order: int) -> list[tuple[str, str]]:
     return _rational(size, order) + list(held.items())
 
 
+def _unexplained(channel: Any, base: Any) -> tuple[Array, Array] | None:
+    """Directions of any mixture of lags, and what they leave of the output there; None where no further way is looked for."""
+    s, keep = base.structure, channel.keep
+    if s.layout != "tf" or s.order < 1 or s.effects or channel.step > 0:
+        return None
+    Z = any_linear(channel.u[:, list(s.inputs)], keep)
+    return Z, channel.y[keep] - Z @ (Z.T @ channel.y[keep])
+
+
+def _placed(told: Callable[[float], float], grid: Array, apart: float) -> float:
+    """Where most is told: the best place of a grid, moved closer by shares of what two of them are apart."""
+    place = float(max(grid, key=told))
+    for share in NEARER:
+        place = max((place + a * share * apart for a in (0.0, -1.0, 1.0)), key=told)
+    return place
+
+
 def _switches(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     """The time from which an input, or all of them, beside what it did before, explains most, where any mixture of lags stands for both
     ways; then a linear fit to the inputs and to these from there on, with poles in common, and last each way with its own."""
     from estimators.diagnosis.effects.profiled import firm
 
     s, n, keep = base.structure, len(channel), channel.keep
-    if s.layout != "tf" or s.order < 1 or s.effects or channel.step > 0:
+    if (known := _unexplained(channel, base)) is None:
         return
-    Z = any_linear(channel.u[:, list(s.inputs)], keep)
-    r = channel.y[keep] - Z @ (Z.T @ channel.y[keep])
+    Z, r = known
     for which in dict.fromkeys((*((j,) for j in s.inputs), s.inputs)):
         x = channel.u[:, list(which)] - np.mean(channel.u[:, list(which)], axis=0)
 
@@ -181,9 +192,7 @@ def _switches(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]
             gate = after(channel.clock, time)[:, None]
             return told_beside(np.column_stack((x * gate, gate)), Z, r, keep, gate)
 
-        time = max(channel.clock.k[0] + np.linspace(0.06, 0.94, TIMES) * n, key=told)
-        for share in NEARER:
-            time = max((time + a * share * n / TIMES for a in (0.0, -1.0, 1.0)), key=told)
+        time = _placed(told, channel.clock.k[0] + np.linspace(0.06, 0.94, TIMES) * n, n / TIMES)
         if not firm(base, float(r @ r) - told(time)):
             continue
         centres = np.mean(channel.u[:, list(which)], axis=0)
@@ -257,21 +266,14 @@ def _splits(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     from estimators.diagnosis.effects.profiled import firm
 
     s, keep = base.structure, channel.keep
-    if s.layout != "tf" or s.order < 1 or s.effects or channel.step > 0:
+    if (known := _unexplained(channel, base)) is None:
         return
-    Z = any_linear(channel.u[:, list(s.inputs)], keep)
-    r = channel.y[keep] - Z @ (Z.T @ channel.y[keep])
+    Z, r = known
     for j in s.inputs:
         u = channel.u[:, j]
-
-        def told(level: float, u: Array = u) -> float:
-            return told_beside(np.maximum(u - level, 0.0), Z, r, keep)
-
+        told = lambda level, u=u: told_beside(np.maximum(u - level, 0.0), Z, r, keep)
         levels = np.unique(np.quantile(u[keep], LEVELS))
-        apart = float(np.max(np.diff(levels), initial=0.0))
-        level = float(max(levels, key=told))
-        for share in NEARER:
-            level = max((level + a * share * apart for a in (0.0, -1.0, 1.0)), key=told)
+        level = _placed(told, levels, float(np.max(np.diff(levels), initial=0.0)))
         if firm(base, float(r @ r) - told(level)):
             place = [1.0 + s.delay, level], [0.0, float(np.std(u))]
             yield from _two_ways(channel, base, BEYOND, (j,), np.maximum(u - level, 0.0)[:, None], [place])

@@ -123,7 +123,8 @@ def ended(channel: Any, base: Any, part: Any, starts: Iterable[Array], sizes: li
 
 
 def of_order(f: Any, order: int, taps: int) -> tuple[Any, Array, Array]:
-    """A fit's structure with another number of poles and coefficients, and the parameters and scales that its parts keep."""
+    """A fit's structure with another number of poles and coefficients, and the parameters and scales that its parts keep. The linear part
+    has no scales, and would be held, until `plant_scales` gives it some."""
     few = replace(f.structure, order=order, taps=taps)
     p, scales = np.zeros(few.size), np.zeros(few.size)
     for now, then in zip(few.slices(), f.structure.slices(), strict=True):

@@ -176,18 +176,23 @@ def lost_samples(u: Array, y: Array) -> NDArray[np.bool_]:
     """(N,) samples of an output (N,) that are no readings: they show the last one, at any time, and the system does not rest at
     inputs (N, nu)."""
     every = refreshed_every(u, y)
-    held = held_samples(y) if every == 1 else np.concatenate(([False], y[1:] == y[:-1]))
-    held &= ~held_in_motion(u, y)
+    if every == 1:
+        held = held_samples(y)
+        held &= ~_in_motion(u, y, held)
+    else:
+        held = np.concatenate(([False], y[1:] == y[:-1]))
     return held & ~resting_samples(u, y, max(RESTING, 2 * every - 1))
 
 
 def held_in_motion(u: Array, y: Array) -> NDArray[np.bool_]:
     """(N,) samples of an output (N,) that show the last reading while it moves quickly: a model can say which they are. Where it
     comes back as an input (N, nu) moves, it has not rested until then."""
-    held = np.zeros(len(y), dtype=bool)
-    if refreshed_every(u, y) == 1:
-        held = held_samples(y) & ~resting_samples(u, y, len(y))  # but for a rest at the start
-    return held if _quick(y, held) else np.zeros(len(y), dtype=bool)
+    return _in_motion(u, y, held_samples(y)) if refreshed_every(u, y) == 1 else np.zeros(len(y), dtype=bool)
+
+
+def _in_motion(u: Array, y: Array, held: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    moving = held & ~resting_samples(u, y, len(y))  # but for a rest at the start
+    return moving if _quick(y, moving) else np.zeros(len(y), dtype=bool)
 
 
 ROWS, WINDOWS, QUICK = 8, 20, 0.85

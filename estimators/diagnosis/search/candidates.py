@@ -100,7 +100,7 @@ def augmented(
     if needed <= 0.0 and not (fits and not base.structure.effects and explained(channel, base, fits)):
         steady = _steady(channel, base) if any(e.family == DRIFTS for e in wanted) else None
         for e in wanted:
-            if e.more is not None and fits and not base.structure.effects:
+            if fits and not base.structure.effects:
                 yield from _led(channel, base, e, iterations)
             yield from _own(channel, base, e, menu)
             if steady is not None and e.family == DRIFTS:
@@ -303,8 +303,8 @@ def _own(channel: Channel, base: Fit, e: Effect, menu: Menu) -> Iterator[Fit]:
 def _led(channel: Channel, base: Fit, e: Effect, iterations: int) -> Iterator[Fit]:
     """The fit per input of an effect from the start that the linear model does not lead to."""
     s = base.structure
-    for j in s.inputs if e.slot is Slot.INPUT else s.inputs[:1]:
-        start = None if e.more is None else e.more(channel, base, j)
+    for j in () if e.more is None else s.inputs if e.slot is Slot.INPUT else s.inputs[:1]:
+        start = e.more(channel, base, j)  # pyright: ignore[reportOptionalCall]
         yield from fitted(channel, base, [] if start is None else [start], iterations)
 
 

@@ -139,7 +139,8 @@ def _lost(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     told = held_in_motion(channel.u, channel.y)
     if told.any():
         # what is held looks late, and like more poles than the signal has
-        forms = (replace(s, order=n, taps=n) for n in sorted({*SIZES, s.order}))
+        sizes = SIZES if s.order <= SIZES[-1] else (*SIZES, s.order)
+        forms = (replace(s, order=n, taps=n) for n in sizes)
         ways = (*(d - s.delay for d in EARLY), *LATER)
         found = [_made(channel, replace(base, structure=form), told, ways) for form in forms]
     else:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import lru_cache
 from itertools import pairwise, product
 from typing import Any
 
@@ -70,6 +71,9 @@ class _Windows:
         self.power = self.Z.T @ self.Z
         free = float(self.y @ self.y - np.sum(self.power[:-2, -1] ** 2))
         self.plain = min(free, float(np.sum(base.residual[channel.keep] ** 2)))
+        self.edges = np.unique(np.linspace(0, len(self.Z), EDGES + 1).astype(int))
+        cells = [self.Z[a:b].T @ self.Z[a:b] for a, b in pairwise(self.edges)]
+        self.sums = np.cumsum([np.zeros_like(self.power), *cells], axis=0)
 
     def told(self, inside: Array) -> tuple[Array, Array]:
         """(M,) squares that are left, and (M, r) coefficients of the directions, of the products (M, r + 2, r + 2) in windows."""
@@ -83,10 +87,7 @@ class _Windows:
 
     def best(self, lasting: bool) -> Iterator[Window]:
         """The best windows of a grid that promise something, no two of them next to each other."""
-        n, Z = len(self.Z), self.Z
-        edges = np.unique(np.linspace(0, n, EDGES + 1).astype(int))
-        cells = [Z[a:b].T @ Z[a:b] for a, b in pairwise(edges)]
-        sums = np.cumsum([np.zeros_like(self.power), *cells], axis=0)
+        n, edges, sums = len(self.Z), self.edges, self.sums
         first, last = np.triu_indices(len(edges), 1)
         windows = np.stack((edges[first], edges[last]), axis=1)
         fit = _able(windows[:, 0], windows[:, 1], n, lasting)
@@ -106,6 +107,11 @@ class _Windows:
         """(N,) the output that the samples outside a window foretell."""
         inside = self.Z[slice(*window)]
         return np.asarray(self.mean + self.Z[:, :-2] @ self.told((inside.T @ inside)[None])[1][0])
+
+
+@lru_cache(maxsize=1)  # for what lasts and for what does not
+def _windows(channel: Any, base: Any) -> _Windows:
+    return _Windows(channel, base)
 
 
 def _able(first: Any, last: Any, n: int, lasting: bool) -> Any:
@@ -130,9 +136,8 @@ def _nearest(x: Array, channel: Any, window: Window, lasting: bool) -> tuple[flo
         better = np.where(keep, (y - x) ** 2 - (y - gain * x - zero) ** 2, 0.0)
         before = np.concatenate(([0.0], np.cumsum(better)))
         rise = before - np.minimum.accumulate(before)
-        end = (
-            n if lasting else n - int(np.argmax(rise[::-1]))
-        )  # samples at an edge that do not count stood out as it does
+        # samples at an edge that do not count stood out as it does
+        end = n if lasting else n - int(np.argmax(rise[::-1]))
         window = int(np.argmin(before[: end + 1])), end
         if not _able(*window, n, lasting):
             break
@@ -189,7 +194,7 @@ def _searched(effect: Callable[[], Effect], lasting: bool) -> Callable[..., Iter
         s = base.structure
         if s.layout != "tf" or s.effects or np.mean(channel.keep) < COUNTED or not np.ptp(channel.y) > 0.0:
             return
-        tried, made = _Windows(channel, base), []
+        tried, made = _windows(channel, base), []
         for window in tried.best(lasting):
             made += list(_made_for(channel, base, tried, window, lasting))
         if made:
