@@ -213,7 +213,7 @@ def _fillings(slowest: float, u: Array, flow: Array, which: int) -> Iterator[lis
         yield [faster * slowest, change / filled, bring * size, float(carry), which + 1.0]
 
 
-def _profiled(
+def profiled_fits(
     channel: Any, base: Any, part: Any, shapes: Iterable[list[float]], sizes: list[float]
 ) -> Iterator[Any]:
     """Fits from a grid of shapes with a quick linear part behind, whose poles no score of the linear model's tells."""
@@ -233,7 +233,7 @@ def _warm(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         u, part = channel.u[:, j], Part(WARMED, j)
         rates = sizes_of(channel, base, part).rates
         sizes = [max(rates), 1.0, 1.0 / (float(np.mean(u**2)) + 1e-300), 10.0 / n]
-        yield from _profiled(channel, base, part, _warmings(rates, u), sizes)
+        yield from profiled_fits(channel, base, part, _warmings(rates, u), sizes)
 
 
 def _powers(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
@@ -247,7 +247,7 @@ def _powers(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         yield from fitted(channel, base, scored(channel, base, part, ENDED).starts, 30)
         shapes, sizes = _weakened(sizes_of(channel, base, part))
         quicker = ([pace * rate, power] for pace, (rate, power) in product(PACES, shapes))
-        yield from _profiled(channel, base, part, (q for q in quicker if q[0] < FASTEST), sizes)
+        yield from profiled_fits(channel, base, part, (q for q in quicker if q[0] < FASTEST), sizes)
 
 
 def _weakened(s: Sizes) -> Grid:
@@ -267,7 +267,7 @@ def _capacities(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[An
         u, flow = channel.u[:, j], channel.u[:, i]
         if abs(total := float(np.sum(flow))) > FILLS * float(np.sum(np.abs(flow))):
             sizes = [slowest, 1.0 / abs(total), float(np.std(u)) + abs(float(np.mean(u))), 1.0, 0.0]
-            yield from _profiled(channel, base, Part(FILLED, j), _fillings(slowest, u, flow, i), sizes)
+            yield from profiled_fits(channel, base, Part(FILLED, j), _fillings(slowest, u, flow, i), sizes)
 
 
 FILLED = Effect(

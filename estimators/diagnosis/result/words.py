@@ -32,6 +32,7 @@ PLAIN = {
     "up_by_load": "change of the rate upwards per unit of load", "down_by_load": "change of the rate downwards per unit of load",
     "growth": "power of its frequency that its size goes with", "sensor_paced.rate": "rate at the level", "sensor_paced.change": "relative change of the rate per unit of what it reads",
     "sensor_paced.level": "level at which the rate is stated", "rate_loaded.level": "load at which the rates are stated", "load": "number of the input that is the load", "draw": "draw of the other input, over this one's",
+    "exchange_fouled.rate": "rate when clean", "exchange_fouled.share": "share of the rate that is the exchange with the input", "exchange_fouled.level": "level of what passes beside it", "exchange_fouled.more": "resistance that comes in the end, over the clean one",
     "flow": "number of the input that is the flow", "loss_heat.share": "relative change of the loss when hot", "heat": "warming per squared level",
     "automatic_gain.share": "fall of the gain per size of late", "automatic_gain.power": "power of the gain's fall", "rises": "time constant as the size grows",
     "falls": "time constant as the size shrinks", "automatic_gain.level": "level about which the size counts",

@@ -379,6 +379,7 @@ ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     ("stiffness_settles", "inertia_settles"), ("inertia_settles", "stiffness_settles"), ("resonance_settles", "damping_settles"), ("stiffness_settles", "gain_settles"),
     ("stiffness_worked", "stiffness_cubic"), ("stiffness_cubic", "stiffness_worked"), ("stiffness_worked", "damping_worked"), ("damping_worked", "stiffness_worked"), ("position_damping", "damping_worked"), ("drag", "damping_worked"),
     ("acts_beyond", "rise_and_fall"), ("rise_and_fall", "acts_beyond"), ("saturation", "acts_beyond"), ("acts_beyond", "rate_limit_servo"), ("input_kink", "acts_beyond"), ("acts_beyond", "bilinear"), ("sensor_paced", "acts_beyond"),
+    ("gain_settles", "exchange_fouled"), ("lag_drift", "exchange_fouled"), ("inertia_settles", "exchange_fouled"), ("exchange_fouled", "capacity_level"), ("bilinear", "exchange_fouled"),
     ("acts_since", "gain_periodic"), ("acts_since", "relay"), ("acts_since", "inertia_drift"), ("acts_since", "capacity_filled"),
     ("input_staged", "plays"), ("relay", "input_staged"), ("output_ranges", "magnitude"), ("output_ranges", "output_cutoff"), ("output_ranges", "output_autorange"), ("input_staged", "output_autorange"), ("output_autorange", "input_staged"), ("output_autorange", "output_cutoff"), ("output_autorange", "plays_output"), ("relay", "output_autorange"),
     ("output_dead_band", "plays_output"), ("output_staircase", "output_dead_band"), ("plays_output", "output_dead_band"),

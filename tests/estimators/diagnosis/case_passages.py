@@ -129,6 +129,18 @@ def damper(u, a):
     return swing(_of_late(lambda x, v, f, s: 0.09 * (f - x) - 0.03 * (1.0 + 4.0 * a * s / (s + 1.5)) * v), u)
 
 
+def scaled(u, a):
+    """A vessel that is heated through a wall on which scale grows, while a cold stream passes."""
+    age = [0.0]
+
+    def rate(x, v):
+        age[0] += 1.0 / FINE
+        wall = 1.0 / (1.0 + 0.6 * a * (1.0 - np.exp(-age[0] / 300.0)))
+        return 0.1 * (0.6 * wall * (v - x) + 0.4 * (1.0 - x))
+
+    return sensor(process(rate, u, 0.6 * u[0] + 0.4), 0.6 * u[0] + 0.4, 0.6)
+
+
 def gap(u, a):
     """A capacity between plates: the reciprocal of what is left of a gap."""
     return 3.0 / (3.5 - a * sensor(u, u[0], 0.6)) if a else linear(u)
@@ -149,6 +161,6 @@ PASSAGES = {
     "capacity_level": (funnel, 3, {"mean": 4.0, "size": 1.5}), "output_hyperbola": (gap, 2, {}),
     "loss_periodic": (aired, 2, {"mean": 4.0}),
     "stiffness_worked": (rubber, 2, {}), "damping_worked": (damper, 2, {}),
-    "acts_beyond": (ranged_apart, 2, {}),
+    "acts_beyond": (ranged_apart, 2, {}), "exchange_fouled": (scaled, 2, {"mean": 4.0}),
     "gain_cycle": (fouled, 2, {}), "multiplexed of instants": (two_converters, 2, {}), "output_autorange": (autoranged, 2, {}),
 }  # fmt: skip

@@ -223,7 +223,7 @@ def test_what_has_no_twin_is_refused_by_name_with_what_to_do():
     refused = {
         "clock_drift": ("tf", [0.01]), "relay": ("tf", [0.2, 0.1]), "wrapped": ("tf", [1.0, 0.0, 0.0, 0.2]),
         "backlash_output": ("tf", [0.2]), "stiffness_drift": ("oscillator", [0.2]), "damping_change": ("oscillator", [0.2, 50.0]),
-        "through_flow": ("tf", [0.1, 3.0]), "exposure": ("tf", [3.0, 1.0, 0.5]), "exposure_walled": ("tf", [3.0, 1.0, 0.5, 0.2, 1.0]), "capacity_filled": ("tf", [0.1, 0.02, 0.5, 1.0, 1.0]),
+        "through_flow": ("tf", [0.1, 3.0]), "exposure": ("tf", [3.0, 1.0, 0.5]), "exposure_walled": ("tf", [3.0, 1.0, 0.5, 0.2, 1.0]), "capacity_filled": ("tf", [0.1, 0.02, 0.5, 1.0, 1.0]), "exchange_fouled": ("tf", [0.1, 0.6, 1.0, 0.5, 0.4]),
         "conveyed": ("tf", [3.0, 1.0]), "delay_periodic": ("tf", [0.1, 1.0, 0.5]),
         "clock_slips": ("tf", [30.0, 0.2, 1.5]), "resonance_drift": ("oscillator", [0.2]), "damping_settles": ("oscillator", [0.2, 2.5]),
         "stiffness_settles": ("oscillator", [0.2, 2.5]), "inertia_settles": ("oscillator", [0.2, 0.1, 2.5]), "resonance_settles": ("oscillator", [0.2, 2.5]),

@@ -1,11 +1,12 @@
-"""What a gain or a lag before the linear part comes to with time and use: worn, tired, warm, run in.
+"""What a gain, a lag or a wall before the linear part comes to with time and use: worn, tired, warm, run in, fouled.
 
 The gain of what is used up or warmed follows a slow hidden state; what ages follows the clock.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,11 @@ AGEING = (0.05, 0.1, 0.2, 0.4, 0.8, 2.0)
 """Time constants, in records, of a gain that settles, that are tried: what it has more of itself at the start follows from each."""
 RESETS, SHORTEST, LEAST_CYCLES = 24, 3.0, 1.5
 """Instants within a cycle at which a gain may begin its course anew that are tried; samples of the shortest cycle, and how many a record has at least."""
+EXCHANGED, OUTSIDE, FOULS, NEARS = (0.4, 0.8), (-3.0, 3.0), (-0.3, 0.4, 1.0), (0.15, 0.5, 2.0)
+"""Of what changes a content, the share that the input exchanges; level of the rest, in standard deviations of the input about its mean;
+relative changes of the exchange's resistance in the end, and time constants in records towards it, that are tried."""
+MOST_FOULED = -0.95  # of the resistance, what may be lost
+SECOND_POLE = 0.3  # where each further pole of what follows a wall starts
 MEMORIES = (0.05, 0.2)  # of the record: time constants of a slow state that are tried
 
 
@@ -171,6 +177,72 @@ def _slowings(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]
         yield from (f for f in fits if firm(base, float(np.sum(f.residual**2))))
 
 
+def _fouling(p, v, u, q, s, c):
+    return c[0] * (1.0 - s) * (u - p) + (1.0 - c[0]) * (u - c[1])
+
+
+def _fouled(x: Array, p: Array, clock: Clock) -> Array:
+    """x' = rate (share g (u - x) + (1 - share) (level - x)), g = 1 / (1 + more (1 - exp(-t / memory))): what exchanges with the input
+    through a wall whose resistance nears an end, and with a stream of another level."""
+    from estimators.diagnosis.effects.input import kept
+    from estimators.diagnosis.effects.process import FASTEST
+    from estimators.diagnosis.model.layouts import Inside, states
+
+    rate, (share, level, more, memory) = abs(float(p[0])), p[1:]
+    if not (0.0 < rate < FASTEST and more > MOST_FOULED and memory > 0.0):
+        return np.full(len(x), np.inf)
+    grown = more * -np.expm1(-np.maximum(clock.turn, 0.0) / memory)
+    own, passes = min(abs(share), 1.0), 1.0 / (1.0 + np.append(grown, grown[-1:]))
+
+    def run(x: Array, p: Array) -> Array:
+        begun = own * passes[0], 1.0 - own
+        start = np.array([np.average([level_before(x), level], weights=begun)])
+        inside = Inside(((_fouling, np.array([own, level]), passes),))
+        return states("first", np.log([rate]), np.append(x, x[-1:]), inside, start)[1:, 0]
+
+    return kept(run, x, p, (_fouling, grown.tobytes()))
+
+
+def _denser(channel: Any, fits: Iterable[Any], most: int) -> Iterator[Any]:
+    """Each fit, and with one pole more after the other behind its process for as long as Schwarz's criterion falls."""
+    from estimators.diagnosis.effects.profiled import of_order
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.linear import plant_scales, relinearised
+
+    for f in fits:
+        yield f
+        while (order := f.structure.order + 1) <= most:
+            more, p, scales = of_order(f, order, f.structure.taps)
+            p[:order] = np.polymul(np.append(1.0, f.p[: order - 1]), (1.0, -SECOND_POLE))[1:]
+            p = p if (q := relinearised(channel, more, p)) is None else q
+            scales[: more.plant_size] = plant_scales(more, p)
+            wider = fit(channel, more, p, scales, noise=f.noise, iterations=30)
+            if not wider.criterion < f.criterion:
+                break
+            f = wider
+            yield f
+
+
+def _walls(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """Every input, at the rates of the linear model's poles and of most rigs, before a quick linear part, then before more poles."""
+    from estimators.diagnosis.effects.process import profiled_fits
+    from estimators.diagnosis.model.structure import Part
+    from estimators.diagnosis.search.starts import sizes_of
+
+    s = base.structure
+    for j in s.inputs if s.layout == "tf" and s.order else ():
+        part = Part(FOULED, j)
+        sizes = sizes_of(channel, base, part)
+        mean = float(np.mean(channel.u[:, j]))
+        shapes = product(sizes.rates, EXCHANGED, OUTSIDE, FOULS, NEARS)
+        grid = ([rate, share, mean + at * sizes.su, more, near] for rate, share, at, more, near in shapes)
+        yield from _denser(
+            channel,
+            profiled_fits(channel, base, part, grid, [max(sizes.rates), 1.0, sizes.su, 1.0, 1.0]),
+            s.order,
+        )
+
+
 SLOWING = Effect(
     key="lag_drift", cause="parameter_drift", family="drifts", nature=Nature.TIME, slot=Slot.OUTPUT, memory=True, linear=True, trials=10,
     sentence="one lag grows with time, or shrinks, and nears an end: a sensor that is fouled", apply=_slowing, search=_slowings,
@@ -186,6 +258,11 @@ WORN = Effect(
     key="gain_worn", cause="slow_hidden_state", family="heat", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=10, apply=_worn,
     sentence="the gain falls, or grows, with all that has passed since the record began: a filter that clogs, a tool, a coil that is wound",
     starts=_with_wear, parameters={"wear": "1/(u sample)", "power": "1"},
+)  # fmt: skip
+FOULED = Effect(
+    key="exchange_fouled", cause="fouling", nature=Nature.TIME, slot=Slot.INPUT, trials=60, alone=True, family="drifts",
+    sentence="a wall between the input and what it heats or fills gains resistance with time, towards an end: fouling, scale",
+    parameters={"rate": "1/sample", "share": "1", "level": "u", "more": "1", "memory": "record"}, apply=_fouled, search=_walls,
 )  # fmt: skip
 CYCLING = Effect(
     key="gain_cycle", cause="periodic_gain", family="drifts", nature=Nature.TIME, slot=Slot.INPUT, trials=0.5, per_sample=True, apply=_cycling,
@@ -203,5 +280,6 @@ AGED = (
            sentence="the gain follows a slow state that the squared input feeds: heat", starts=with_heat,
            parameters={"share": "1/u^2", "time": "sample"}),
     SLOWING,
+    FOULED,
     CYCLING,
 )  # fmt: skip
