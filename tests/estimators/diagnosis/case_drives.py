@@ -84,6 +84,20 @@ def seat(u, a):
     return lag(out, 0.3)
 
 
+def van(u, a):
+    """A van that is steered hard: its tyres hold it sideways the less, the further they slip."""
+    side = lambda slip: np.sin(1.3 * np.arctan(1.1 * slip)) / 1.43 if a else slip
+    slip = yaw = 0.0
+    wheels, out = u[0], np.empty(len(u) + 99)
+    for k, wanted in enumerate(np.append(np.full(99, u[0]), u)):
+        out[k] = yaw
+        for _ in range(FINE):
+            front, rear = 0.14 * side(slip + yaw - wheels), 0.18 * side(slip - 0.9 * yaw)
+            slip, yaw = slip - (front + rear + 0.7 * yaw) / FINE, yaw + 1.1 * (0.9 * rear - front) / FINE
+            wheels += 0.6 * (wanted - wheels) / FINE
+    return out[99:]
+
+
 def in_time(u, a):
     """A meter that sends what has changed by more than a step, and what it reads every 23 samples."""
     y = linear(u)
@@ -293,7 +307,7 @@ DRIVES = {
     "capacity_bump_fed": (melting, 2, {"mean": 4.0, "inputs": 2}),
     "shared_limit": (two_pumps, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}), "shared_limit of a neighbour": (its_neighbour, 2, {"inputs": 2}),
     "saturation_upper of two": (capped, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}),
-    "strut": (seat, 3, {"hold": 10}),
+    "strut": (seat, 3, {"hold": 10}), "tyre_slip": (van, 3, {}),
     "slipping": (slipping_belt, 2, {"hold": 10}),
     "flow_up": (rectified, 3, {"hold": 15, "mean": 1.0}),
     "flow_down": (drained, 3, {"hold": 15, "mean": -1.0}),

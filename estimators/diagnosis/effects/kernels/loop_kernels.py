@@ -259,6 +259,38 @@ def carried(signal, p, start):  # pragma: no cover - compiled
 
 
 @compiled
+def sideways(b, r, steer, p):  # pragma: no cover - compiled
+    """Rates of side slip and yaw of a steered vehicle; p: stiffnesses of front and rear over mass and speed, how far yaw slips an axle, the
+    rear's lever over the front's, the front's square over that of gyration, and a tyre's `B` and `C` of unit slope."""
+    front = p[0] * np.sin(p[6] * np.arctan(p[5] * (b + r - steer))) / (p[5] * p[6])
+    rear = p[1] * np.sin(p[6] * np.arctan(p[5] * (b - p[3] * r))) / (p[5] * p[6])
+    return -front - rear - p[2] * r, p[4] * (p[3] * rear - front)
+
+
+@compiled
+def cornered(signal, p, steer, begun):  # pragma: no cover - compiled
+    """Side slip and yaw rate (N, 2) at the end of each sample of a vehicle whose tyres' side forces saturate with their slip, `sideways` with
+    its p, from `begun` (2,), its wheels steered to the signal from `steer` with a lag, p[7] in samples. Midpoint steps, `WITHIN` of them.
+    """
+    out = np.empty((signal.shape[0], 2))
+    h = 1.0 / WITHIN
+    near = np.exp(-0.5 * h / p[7])
+    b, r = begun
+    for k in range(signal.shape[0]):
+        for _ in range(WITHIN):
+            slip, yaw = sideways(b, r, steer, p)
+            steer = signal[k] + (steer - signal[k]) * near
+            slip, yaw = sideways(b + 0.5 * h * slip, r + 0.5 * h * yaw, steer, p)
+            b, r = b + h * slip, r + h * yaw
+            steer = signal[k] + (steer - signal[k]) * near
+        out[k] = b, r
+        if not np.isfinite(r):
+            out[k:] = np.inf
+            return out
+    return out
+
+
+@compiled
 def three_point(signal, up, down, halt, zone, start):  # pragma: no cover - compiled
     """Mean over each sample interval of a motor that starts where a held command is more than `halt + zone` away, at `up` or `down` per
     sample, and halts `halt` before it; it stands at `start` before the record."""

@@ -1,6 +1,5 @@
 """Hidden loops between the input and the linear part, and what remembers there."""
 
-from estimators.diagnosis.effects.loops.carried import CARRIED_BY
 from estimators.diagnosis.effects.loops.exposure import EXPOSURES
 from estimators.diagnosis.effects.loops.flows import FLOWS
 from estimators.diagnosis.effects.loops.geared import GEARED
@@ -28,6 +27,7 @@ from estimators.diagnosis.effects.loops.servos import SERVOS
 from estimators.diagnosis.effects.loops.stores import STORES
 from estimators.diagnosis.effects.loops.switching import SWITCHING
 from estimators.diagnosis.effects.loops.three_point import THREE_POINT
+from estimators.diagnosis.effects.loops.vehicles import CARRIED_BY, TYRES
 
 __all__ = ["ACROSS", "FLOWS", "LOOPS", "PACES", "STORES", "play_widths", "slowest_rate"]
 
@@ -52,4 +52,5 @@ LOOPS = (
     *STORES,
     *FLOWS,
     CARRIED_BY,
+    TYRES,
 )

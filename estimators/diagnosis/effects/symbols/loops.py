@@ -14,10 +14,10 @@ from estimators.diagnosis.effects.kernels.loop_kernels import (
 )
 from estimators.diagnosis.effects.kernels.plant_kernels import held_response
 from estimators.diagnosis.effects.kernels.recursion_kernels import WITHIN
-from estimators.diagnosis.effects.loops.carried import of_strut
 from estimators.diagnosis.effects.loops.flows import FLOWS, of_flow
 from estimators.diagnosis.effects.loops.geared import GEARED, of_drive
 from estimators.diagnosis.effects.loops.stores import STORES, ends_of
+from estimators.diagnosis.effects.loops.vehicles import at_rest, of_strut, of_tyres
 from estimators.diagnosis.effects.sensing.rates import limits
 from estimators.diagnosis.effects.symbols import terms
 from estimators.diagnosis.effects.symbols.wiring import Wiring
@@ -195,9 +195,29 @@ def _carried(w: Wiring, x: Any, p: Array) -> Any:
     return at
 
 
+def _cornered(w: Wiring, x: Any, p: Array) -> Any:
+    known, h, start = of_tyres(p), 1.0 / WITHIN, w.value(x)
+    *_, steepness, shape, lag = map(float, known)
+    s, near = w.state([start, *at_rest(start, known)]), float(np.exp(-0.5 * h / lag))
+    steer, b, r = s.x[0], s.x[1], s.x[2]
+    side = lambda slip: w.ca.sin(shape * w.ca.atan(steepness * slip)) / (steepness * shape)
+
+    def rates(b: Any, r: Any, steer: Any) -> tuple[Any, Any]:
+        front, rear = known[0] * side(b + r - steer), known[1] * side(b - known[3] * r)
+        return -front - rear - known[2] * r, known[4] * (known[3] * rear - front)
+
+    for _ in range(WITHIN):
+        slip, yaw = rates(b, r, steer)
+        steer = x + (steer - x) * near
+        slip, yaw = rates(b + 0.5 * h * slip, r + 0.5 * h * yaw, steer)
+        b, r, steer = b + h * slip, r + h * yaw, x + (steer - x) * near
+    s.after = w.ca.vertcat(steer, b, r)
+    return r
+
+
 LOOPED: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
     "rate_limit": _servo(1), "rate_limit_sampled": _servo(0), "rate_limit_servo": _servo(1), "three_point": _three_point, "wind_up": _wound_up, "relay_feedback": _switched,
     "rate_in_loop": _steered(0), "rate_of_loop": _steered(1), "rate_in_course": _steered(COURSE),
-    "sensor_rate": _trailed, "strut": _carried, **{e.key: _geared(*how) for e, how in GEARED.items()},
+    "sensor_rate": _trailed, "strut": _carried, "tyre_slip": _cornered, **{e.key: _geared(*how) for e, how in GEARED.items()},
     **{e.key: _stored(ends) for e, ends in STORES.items()}, **{e.key: _flowed(way) for e, way in FLOWS.items()},
 }  # fmt: skip
