@@ -35,6 +35,7 @@ PLAIN = {
     "exchange_fouled.rate": "rate when clean", "exchange_fouled.share": "share of the rate that is the exchange with the input", "exchange_fouled.level": "level of what passes beside it", "exchange_fouled.more": "resistance that comes in the end, over the clean one",
     "tyre_slip.front": "stiffness of the front axle, over mass and speed", "tyre_slip.rear": "stiffness of the rear axle, over mass and speed", "tyre_slip.turn": "how far yaw slips an axle", "tyre_slip.lever": "lever of the rear axle, over the front one's",
     "tyre_slip.gyration": "square of the front lever, over the radius of gyration's", "tyre_slip.slope": "tyres' coefficient B", "tyre_slip.shape": "tyres' coefficient C",
+    "acceleration": "acceleration by the whole head", "water_column.loss": "loss of the head", "idle": "flow at which it idles",
     "flow": "number of the input that is the flow", "loss_heat.share": "relative change of the loss when hot", "heat": "warming per squared level",
     "automatic_gain.share": "fall of the gain per size of late", "automatic_gain.power": "power of the gain's fall", "rises": "time constant as the size grows",
     "falls": "time constant as the size shrinks", "automatic_gain.level": "level about which the size counts",

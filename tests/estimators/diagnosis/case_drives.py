@@ -98,6 +98,19 @@ def van(u, a):
     return out[99:]
 
 
+def turbine(u, a):
+    """A turbine at the foot of a pipe, whose water is slow; or one whose power follows its gate."""
+    if not a:
+        return linear(u)
+    gate, flow, out = u[0], u[0] / np.sqrt(1.0 + 0.01 * u[0] ** 2), np.empty(len(u))
+    for k, wanted in enumerate(u):
+        out[k] = (flow / gate) ** 2 * (flow - 0.4)
+        for _ in range(FINE):
+            flow += 0.8 * (1.0 - 0.01 * flow**2 - (flow / gate) ** 2) / FINE
+            gate += 0.5 * (wanted - gate) / FINE
+    return lag(out, 0.3)
+
+
 def in_time(u, a):
     """A meter that sends what has changed by more than a step, and what it reads every 23 samples."""
     y = linear(u)
@@ -307,7 +320,7 @@ DRIVES = {
     "capacity_bump_fed": (melting, 2, {"mean": 4.0, "inputs": 2}),
     "shared_limit": (two_pumps, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}), "shared_limit of a neighbour": (its_neighbour, 2, {"inputs": 2}),
     "saturation_upper of two": (capped, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}),
-    "strut": (seat, 3, {"hold": 10}), "tyre_slip": (van, 3, {}),
+    "strut": (seat, 3, {"hold": 10}), "tyre_slip": (van, 3, {}), "water_column": (turbine, 2, {"mean": 4.0, "size": 0.8}),
     "slipping": (slipping_belt, 2, {"hold": 10}),
     "flow_up": (rectified, 3, {"hold": 15, "mean": 1.0}),
     "flow_down": (drained, 3, {"hold": 15, "mean": -1.0}),

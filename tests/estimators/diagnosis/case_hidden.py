@@ -352,7 +352,7 @@ ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     ("store_empty", "store_full"), ("store_full", "store_empty"), ("store_empty", "output_cutoff"), ("store_full", "output_ratio"), ("rate_in_loop", "store"),
     ("outflow_root_fed", "capacity_bump_fed"), ("capacity_bump_fed", "outflow_root_fed"), ("loss_fed", "capacity_bump_fed"),
     ("reported_in_time", "reported_on_change"), ("reported_on_change", "reported_in_time"), ("reported_in_time", "refreshed"),
-    ("tyre_slip", "input_tanh"), ("saturation", "tyre_slip"), ("tyre_slip", "stiffness_cubic"), ("drag", "tyre_slip"), ("strut", "rise_and_fall"), ("rise_and_fall", "strut"), ("strut", "rate_limit_servo"), ("drag", "strut"),
+    ("water_column", "rise_and_fall"), ("flow_up", "water_column"), ("water_column", "loss_cubic"), ("outflow_root", "water_column"), ("bilinear", "water_column"), ("tyre_slip", "input_tanh"), ("saturation", "tyre_slip"), ("tyre_slip", "stiffness_cubic"), ("drag", "tyre_slip"), ("strut", "rise_and_fall"), ("rise_and_fall", "strut"), ("strut", "rate_limit_servo"), ("drag", "strut"),
     ("slipping", "rise_and_fall"), ("slipping", "loss_cubic"), ("rise_and_fall", "slipping"), ("outflow_root", "slipping"), ("store_empty", "flow_up"), ("flow_up", "rise_and_fall"), ("rise_and_fall", "flow_up"), ("flow_up", "wind_up"), ("rate_in_loop", "flow_down"),
     ("flow_down", "output_cutoff"), ("stiction", "flow_up"), ("rate_limit_servo", "flow_up"), ("rate_of_loop", "flow_up"),
     ("stiction", "stiction_sliding"), ("stiction_sliding", "plays"), ("clearance", "stiction_sliding"),

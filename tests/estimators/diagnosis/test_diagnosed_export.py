@@ -60,6 +60,10 @@ def _held(model: DiagnosedModel, level: float = 0.0) -> np.ndarray:
     return expected
 
 
+def test_a_gate_that_is_never_shut_has_a_twin():
+    _held(_model(named_answer("tf", [("water_column", [0.4, 0.01, 0.3, 1.2])], {"rest": False})), level=6.0)
+
+
 @pytest.mark.slow  # the recursions are compiled at their first use
 @pytest.mark.parametrize("name", NAMED)
 def test_a_named_answer_is_its_twin(name):

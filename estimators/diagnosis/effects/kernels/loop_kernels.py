@@ -259,6 +259,30 @@ def carried(signal, p, start):  # pragma: no cover - compiled
 
 
 @compiled
+def headed(signal, p, start):  # pragma: no cover - compiled
+    """Power at the end of each sample of a turbine at the foot of a long pipe, head times the flow above idling, where the head is what
+    drives the flow through the gate, h = (q / g)^2, and what the pipe leaves moves the water, q' = a (1 - k q^2 - h).
+
+    p: a, k, the idling flow, and the lag in samples in which the gate follows the signal; it has settled at `start`. Midpoint steps,
+    `WITHIN` of them.
+    """
+    out = np.empty_like(signal)
+    h = 1.0 / WITHIN
+    near = np.exp(-0.5 * h / p[3])
+    g = start
+    q = g / np.sqrt(1.0 + p[1] * g**2)
+    for k in range(signal.shape[0]):
+        for _ in range(WITHIN):
+            middle = q + 0.5 * h * p[0] * (1.0 - p[1] * q**2 - (q / g) ** 2)
+            g = signal[k] + (g - signal[k]) * near
+            q += h * p[0] * (1.0 - p[1] * middle**2 - (middle / g) ** 2)
+            g = signal[k] + (g - signal[k]) * near
+        if not written(out, k, (q / g) ** 2 * (q - p[2])):
+            return out
+    return out
+
+
+@compiled
 def sideways(b, r, steer, p):  # pragma: no cover - compiled
     """Rates of side slip and yaw of a steered vehicle; p: stiffnesses of front and rear over mass and speed, how far yaw slips an axle, the
     rear's lever over the front's, the front's square over that of gyration, and a tyre's `B` and `C` of unit slope."""

@@ -1,7 +1,7 @@
 """Hidden loops between the input and the linear part, and what remembers there."""
 
 from estimators.diagnosis.effects.loops.exposure import EXPOSURES
-from estimators.diagnosis.effects.loops.flows import FLOWS
+from estimators.diagnosis.effects.loops.flows import FLOWS, PENSTOCK
 from estimators.diagnosis.effects.loops.geared import GEARED
 from estimators.diagnosis.effects.loops.limited import (
     ACROSS,
@@ -51,6 +51,7 @@ LOOPS = (
     *GEARED,
     *STORES,
     *FLOWS,
+    PENSTOCK,
     CARRIED_BY,
     TYRES,
 )

@@ -1,4 +1,4 @@
-"""What a flow with inertia fills, and that cannot turn back: a converter's diode, a check valve, a freewheel."""
+"""Flows with inertia: that fill a store and cannot turn back, a diode's, a check valve's, a freewheel's; and a long pipe's to a turbine."""
 
 from collections.abc import Iterator
 from itertools import product
@@ -75,3 +75,37 @@ def _flow(key: str, way: float) -> Effect:
 
 FLOWS: dict[Effect, float] = {_flow("flow_up", 1.0): 1.0, _flow("flow_down", -1.0): -1.0}
 """The effects, and which way they flow: up with the input, or down."""
+
+PACE, LOSS, IDLE, GATE = (0.3, 0.6, 1.2, 2.4, 5.0, 10.0), (0.02, 0.15), (0.03, 0.15), (0.3, 1.0, 3.0)
+"""Of what the head gives the flow in the time of the linear model's slowest pole, of its mean; of the head, what the mean flow loses; of
+the mean flow, what a turbine idles at; and lags of the gate in samples, that are tried."""
+TIGHT = 1e-3  # of its mean, that a gate is open at least: through a shut one no head drives anything
+
+
+def of_penstock(p: Array) -> Array:
+    """Acceleration by the whole head, loss, idling flow, lag of the gate."""
+    return np.maximum(np.abs(p), (0.0, 0.0, 0.0, QUICK_GATE))
+
+
+QUICK_GATE = 0.1  # samples, about one step of the integration
+
+
+def _turbined(x: Array, p: Array) -> Array:
+    from estimators.diagnosis.effects.kernels.loop_kernels import headed
+
+    open_ = min(float(x.min()), level_before(x)) > TIGHT * abs(float(np.mean(x)))
+    return headed(x, of_penstock(p), level_before(x)) if open_ else np.full(len(x), np.inf)
+
+
+def _penstocks(slowest: float, u: Array) -> Iterator[list[float]]:
+    mean = abs(float(np.mean(u))) + 1e-300
+    for pace, loss, idle, lag in product(PACE, LOSS, IDLE, GATE):
+        yield [pace * slowest * mean, loss / mean**2, idle * mean, lag]
+
+
+PENSTOCK: Effect = Effect(
+    key="water_column", cause="water_column", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=50, apply=lambda x, p, clock: kept(_turbined, x, p),
+    sentence="the input is a gate at the foot of a long pipe, whose head falls while the water is still slow: a turbine's power, q (q / g)^2",
+    parameters={"acceleration": "u/sample", "loss": "1/u^2", "idle": "u", "lag": "sample"},
+    search=shaped(lambda: PENSTOCK, _penstocks, lambda slowest, su: [slowest * su, 0.1 / su**2, su, 1.0], NEAR, np.eye(4)),
+)  # fmt: skip

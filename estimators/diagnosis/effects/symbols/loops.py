@@ -14,7 +14,7 @@ from estimators.diagnosis.effects.kernels.loop_kernels import (
 )
 from estimators.diagnosis.effects.kernels.plant_kernels import held_response
 from estimators.diagnosis.effects.kernels.recursion_kernels import WITHIN
-from estimators.diagnosis.effects.loops.flows import FLOWS, of_flow
+from estimators.diagnosis.effects.loops.flows import FLOWS, of_flow, of_penstock
 from estimators.diagnosis.effects.loops.geared import GEARED, of_drive
 from estimators.diagnosis.effects.loops.stores import STORES, ends_of
 from estimators.diagnosis.effects.loops.vehicles import at_rest, of_strut, of_tyres
@@ -215,9 +215,24 @@ def _cornered(w: Wiring, x: Any, p: Array) -> Any:
     return r
 
 
+def _headed(w: Wiring, x: Any, p: Array) -> Any:
+    pull, loss, idle, lag = map(float, of_penstock(p))
+    h, start = 1.0 / WITHIN, w.value(x)
+    s, near = w.state([start, start / float(np.sqrt(1.0 + loss * start**2))]), float(np.exp(-0.5 * h / lag))
+    g, q = s.x[0], s.x[1]
+    speeding = lambda q, g: pull * (1.0 - loss * q**2 - (q / g) ** 2)
+    for _ in range(WITHIN):
+        middle = q + 0.5 * h * speeding(q, g)
+        g = x + (g - x) * near
+        q = q + h * speeding(middle, g)
+        g = x + (g - x) * near
+    s.after = w.ca.vertcat(g, q)
+    return (q / g) ** 2 * (q - idle)
+
+
 LOOPED: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
     "rate_limit": _servo(1), "rate_limit_sampled": _servo(0), "rate_limit_servo": _servo(1), "three_point": _three_point, "wind_up": _wound_up, "relay_feedback": _switched,
     "rate_in_loop": _steered(0), "rate_of_loop": _steered(1), "rate_in_course": _steered(COURSE),
-    "sensor_rate": _trailed, "strut": _carried, "tyre_slip": _cornered, **{e.key: _geared(*how) for e, how in GEARED.items()},
+    "sensor_rate": _trailed, "strut": _carried, "tyre_slip": _cornered, "water_column": _headed, **{e.key: _geared(*how) for e, how in GEARED.items()},
     **{e.key: _stored(ends) for e, ends in STORES.items()}, **{e.key: _flowed(way) for e, way in FLOWS.items()},
 }  # fmt: skip
