@@ -36,6 +36,7 @@ PLAIN = {
     "tyre_slip.front": "stiffness of the front axle, over mass and speed", "tyre_slip.rear": "stiffness of the rear axle, over mass and speed", "tyre_slip.turn": "how far yaw slips an axle", "tyre_slip.lever": "lever of the rear axle, over the front one's",
     "tyre_slip.gyration": "square of the front lever, over the radius of gyration's", "tyre_slip.slope": "tyres' coefficient B", "tyre_slip.shape": "tyres' coefficient C",
     "acceleration": "acceleration by the whole head", "water_column.loss": "loss of the head", "idle": "flow at which it idles",
+    "loss_saturating.limit": "most that the saturating way clears", "loss_saturating.half": "content at which that clears half of it",
     "flow": "number of the input that is the flow", "loss_heat.share": "relative change of the loss when hot", "heat": "warming per squared level",
     "automatic_gain.share": "fall of the gain per size of late", "automatic_gain.power": "power of the gain's fall", "rises": "time constant as the size grows",
     "falls": "time constant as the size shrinks", "automatic_gain.level": "level about which the size counts",

@@ -45,6 +45,7 @@ NAMED = {
     "a cistern": ("tf", [("store_empty", [0.0, 0.1, 0.7])], {"rest": False}),
     "a brim": ("tf", [("store_full", [0.02, 0.1, -0.7])], {"rest": False}),
     "a seat": ("tf", [("strut", [0.3, 0.05, 0.2, 1.5])], {"rest": False}),
+    "a patient": ("tf", [("loss_saturating", [0.1, 1.5, 2.0, 0.1, 0.05])], {"rest": False}),
     "a van": ("tf", [("tyre_slip", [0.2, 0.25, 0.8, 1.2, 0.9, 0.7, 1.4, 1.5])], {"rest": False}),
     "a check valve": ("tf", [("flow_up", [0.3, 0.1, 0.02, 0.05, 0.2, -0.1])], {"rest": False}),
     "a converter": ("tf", [("flow_down", [0.3, 0.1, 0.0, 0.05, 0.0, 0.0])], {"rest": False}),

@@ -111,6 +111,21 @@ def turbine(u, a):
     return lag(out, 0.3)
 
 
+def patient(u, a):
+    """A drug that is infused, that an enzyme breaks down, and that tissue takes up and gives back."""
+    out, blood, tissue = np.empty(len(u)), 0.0, 0.0
+    loss = lambda c: 5.0 * c / (2.0 + c) + 0.2 * c if a else 1.2 * c
+    for k, infused in enumerate(np.append(np.full(300, u[0]), u)):
+        if k >= 300:
+            out[k - 300] = blood
+        for _ in range(FINE):
+            blood, tissue = (
+                blood + (0.1 * (infused - loss(blood)) + 0.1 * (tissue - blood)) / FINE,
+                tissue + 0.06 * (blood - tissue) / FINE,
+            )
+    return out
+
+
 def in_time(u, a):
     """A meter that sends what has changed by more than a step, and what it reads every 23 samples."""
     y = linear(u)
@@ -320,7 +335,7 @@ DRIVES = {
     "capacity_bump_fed": (melting, 2, {"mean": 4.0, "inputs": 2}),
     "shared_limit": (two_pumps, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}), "shared_limit of a neighbour": (its_neighbour, 2, {"inputs": 2}),
     "saturation_upper of two": (capped, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}),
-    "strut": (seat, 3, {"hold": 10}), "tyre_slip": (van, 3, {}), "water_column": (turbine, 2, {"mean": 4.0, "size": 0.8}),
+    "strut": (seat, 3, {"hold": 10}), "tyre_slip": (van, 3, {}), "loss_saturating": (patient, 2, {"mean": 3.0, "size": 1.3, "hold": 10}), "water_column": (turbine, 2, {"mean": 4.0, "size": 0.8}),
     "slipping": (slipping_belt, 2, {"hold": 10}),
     "flow_up": (rectified, 3, {"hold": 15, "mean": 1.0}),
     "flow_down": (drained, 3, {"hold": 15, "mean": -1.0}),

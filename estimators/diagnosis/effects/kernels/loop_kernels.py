@@ -283,6 +283,26 @@ def headed(signal, p, start):  # pragma: no cover - compiled
 
 
 @compiled
+def eliminated(signal, p, start):  # pragma: no cover - compiled
+    """Content at the end of each sample of what loses by a way that saturates, x' = a (u - s x - m x / (k + |x|)) + out (z - x), and exchanges
+    with a second content, z' = back (x - z); p: a, s, m, k, out, back. Both are at `start`. Midpoint steps, `WITHIN` of them."""
+    out = np.empty_like(signal)
+    h = 1.0 / WITHIN
+    x = z = start
+    for k in range(signal.shape[0]):
+        for _ in range(WITHIN):
+            loss = p[1] * x + p[2] * x / (p[3] + abs(x))
+            middle = x + 0.5 * h * (p[0] * (signal[k] - loss) + p[4] * (z - x))
+            other = z + 0.5 * h * p[5] * (x - z)
+            loss = p[1] * middle + p[2] * middle / (p[3] + abs(middle))
+            x += h * (p[0] * (signal[k] - loss) + p[4] * (other - middle))
+            z += h * p[5] * (middle - other)
+        if not written(out, k, x):
+            return out
+    return out
+
+
+@compiled
 def sideways(b, r, steer, p):  # pragma: no cover - compiled
     """Rates of side slip and yaw of a steered vehicle; p: stiffnesses of front and rear over mass and speed, how far yaw slips an axle, the
     rear's lever over the front's, the front's square over that of gyration, and a tyre's `B` and `C` of unit slope."""

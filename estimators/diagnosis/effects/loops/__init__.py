@@ -24,7 +24,7 @@ from estimators.diagnosis.effects.loops.remembering import (
 )
 from estimators.diagnosis.effects.loops.scanned import SCANNED
 from estimators.diagnosis.effects.loops.servos import SERVOS
-from estimators.diagnosis.effects.loops.stores import STORES
+from estimators.diagnosis.effects.loops.stores import CLEARED, STORES
 from estimators.diagnosis.effects.loops.switching import SWITCHING
 from estimators.diagnosis.effects.loops.three_point import THREE_POINT
 from estimators.diagnosis.effects.loops.vehicles import CARRIED_BY, TYRES
@@ -52,6 +52,7 @@ LOOPS = (
     *STORES,
     *FLOWS,
     PENSTOCK,
+    CLEARED,
     CARRIED_BY,
     TYRES,
 )

@@ -29,7 +29,7 @@ AGEING = (0.05, 0.1, 0.2, 0.4, 0.8, 2.0)
 """Time constants, in records, of a gain that settles, that are tried: what it has more of itself at the start follows from each."""
 RESETS, SHORTEST, LEAST_CYCLES = 24, 3.0, 1.5
 """Instants within a cycle at which a gain may begin its course anew that are tried; samples of the shortest cycle, and how many a record has at least."""
-EXCHANGED, OUTSIDE, FOULS, NEARS = (0.4, 0.8), (-3.0, 3.0), (-0.3, 0.4, 1.0), (0.15, 0.5, 2.0)
+EXCHANGED, OUTSIDE, FOULS, NEARS = (0.6,), (-3.0, 3.0), (-0.3, 0.6), (0.15, 0.6)
 """Of what changes a content, the share that the input exchanges; level of the rest, in standard deviations of the input about its mean;
 relative changes of the exchange's resistance in the end, and time constants in records towards it, that are tried."""
 MOST_FOULED = -0.95  # of the resistance, what may be lost

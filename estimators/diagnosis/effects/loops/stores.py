@@ -1,4 +1,4 @@
-"""What the input fills, between an empty and a full level that it cannot leave: a tank, a queue, a stem between its end stops."""
+"""What the input fills: a tank, a queue, a stem between its ends; and what loses by a way that saturates: a drug, a substrate, a channel."""
 
 from collections.abc import Iterator
 from itertools import product
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
+from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
 from estimators.diagnosis.effects.input import kept
 from estimators.diagnosis.effects.loops.limited import NEAR, shaped
 
@@ -83,3 +83,55 @@ STORES: dict[Effect, tuple[float, float]] = {
     )
 }
 """The effects, and the ends of each; where both are finite, the upper one is a parameter."""
+
+CLEARS, SATURATES, HALVES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0), (0.6, 0.95), (0.3, 1.0, 3.0)
+ASIDE = ((0.0, 0.5), (0.3, 0.3), (1.0, 0.5), (2.0, 1.0))
+"""Of the linear model's slowest pole, how fast a little of a content is cleared; the share of that by the way that saturates; the content
+at which it clears half as well, in sizes of the input; and of those rates, those to a second content and back, that are tried."""
+LEAST_HALF = 1e-12  # content below which nothing is one
+SWIFTEST = 4.0  # rate per sample, above which the steps within a sample are too coarse
+
+
+def of_clearance(p: Array) -> Array:
+    """Rate, clearance by the other ways and by the one that saturates, its half, rates to a second content and back.
+
+    A little of the content is cleared at the rate itself: its unit is the input's.
+    """
+    rate, limit, half, out, back = np.abs(p)
+    half = max(half, LEAST_HALF)
+    return np.array([rate, 1.0 - limit / half, limit, half, out, back])
+
+
+def cleared_at(level: float, known: Array) -> float:
+    """Content at which as much is cleared as comes; infinite where none is."""
+    share, limit, half = known[1:4]
+    b, c = share * half + limit - abs(level), abs(level) * half
+    root = b**2 + 4.0 * share * c
+    below = b + np.sqrt(root) if root >= 0.0 else 0.0
+    return float(np.copysign(2.0 * c / below, level)) if below > 0.0 else (np.inf if c else 0.0)
+
+
+def _cleared(x: Array, p: Array) -> Array:
+    from estimators.diagnosis.effects.kernels.loop_kernels import eliminated
+
+    known = of_clearance(p)
+    start = cleared_at(level_before(x), known)
+    if not (np.isfinite(start) and max(known[0], known[4], known[5]) < SWIFTEST):
+        return np.full(len(x), np.inf)
+    return eliminated(x, known, start)
+
+
+def _clearances(slowest: float, u: Array) -> Iterator[list[float]]:
+    size = abs(float(np.mean(u))) + float(np.std(u)) + 1e-300
+    for clears, share, half, (out, back) in product(CLEARS, SATURATES, HALVES, ASIDE):
+        rate = clears * slowest
+        yield [rate, share * half * size, half * size, out * rate, back * rate]
+
+
+CLEARED: Effect = Effect(
+    key="loss_saturating", cause="nonlinear_loss", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=50, apply=lambda x, p, clock: kept(_cleared, x, p),
+    sentence="it loses by a way that saturates, m x / (k + x), beside one in proportion and a second content that it exchanges with: elimination "
+    "(Michaelis and Menten), growth (Monod), adsorption (Langmuir)",
+    parameters={"rate": "1/sample", "limit": "u", "half": "u", "out": "1/sample", "back": "1/sample"}, family="losses",
+    search=shaped(lambda: CLEARED, _clearances, lambda slowest, su: [slowest, su, su, slowest, slowest], NEAR, np.eye(5)),
+)  # fmt: skip

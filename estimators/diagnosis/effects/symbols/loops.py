@@ -16,7 +16,7 @@ from estimators.diagnosis.effects.kernels.plant_kernels import held_response
 from estimators.diagnosis.effects.kernels.recursion_kernels import WITHIN
 from estimators.diagnosis.effects.loops.flows import FLOWS, of_flow, of_penstock
 from estimators.diagnosis.effects.loops.geared import GEARED, of_drive
-from estimators.diagnosis.effects.loops.stores import STORES, ends_of
+from estimators.diagnosis.effects.loops.stores import STORES, cleared_at, ends_of, of_clearance
 from estimators.diagnosis.effects.loops.vehicles import at_rest, of_strut, of_tyres
 from estimators.diagnosis.effects.sensing.rates import limits
 from estimators.diagnosis.effects.symbols import terms
@@ -230,9 +230,23 @@ def _headed(w: Wiring, x: Any, p: Array) -> Any:
     return (q / g) ** 2 * (q - idle)
 
 
+def _eliminated(w: Wiring, x: Any, p: Array) -> Any:
+    known, h = of_clearance(p), 1.0 / WITHIN
+    rate, share, limit, half, out, back = map(float, known)
+    start = cleared_at(w.value(x), known)
+    s = w.state([start, start])
+    at, aside = s.x[0], s.x[1]
+    change = lambda a, z: rate * (x - share * a - limit * a / (half + w.ca.fabs(a))) + out * (z - a)
+    for _ in range(WITHIN):
+        middle, other = at + 0.5 * h * change(at, aside), aside + 0.5 * h * back * (at - aside)
+        at, aside = at + h * change(middle, other), aside + h * back * (middle - other)
+    s.after = w.ca.vertcat(at, aside)
+    return at
+
+
 LOOPED: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
     "rate_limit": _servo(1), "rate_limit_sampled": _servo(0), "rate_limit_servo": _servo(1), "three_point": _three_point, "wind_up": _wound_up, "relay_feedback": _switched,
     "rate_in_loop": _steered(0), "rate_of_loop": _steered(1), "rate_in_course": _steered(COURSE),
-    "sensor_rate": _trailed, "strut": _carried, "tyre_slip": _cornered, "water_column": _headed, **{e.key: _geared(*how) for e, how in GEARED.items()},
+    "sensor_rate": _trailed, "strut": _carried, "tyre_slip": _cornered, "water_column": _headed, "loss_saturating": _eliminated, **{e.key: _geared(*how) for e, how in GEARED.items()},
     **{e.key: _stored(ends) for e, ends in STORES.items()}, **{e.key: _flowed(way) for e, way in FLOWS.items()},
 }  # fmt: skip
