@@ -21,6 +21,7 @@ PLAIN = {
     "plays.start": "place in the plays at the start", "plays_output.start": "place in the plays at the start", "multiplexed.place": "place in the cycle", "multiplexed.lag": "time constant of the one whose turn it is", "multiplexed.later": "how much later it reads",
     "held_in_motion.limit": "rate from which on it is lost", "instant": "instant of the rate, after the middle of a step", "clock_slips.place": "place in the period at the start", "slip": "what it is late by in the end",
     "acts_since.centre": "level about which it acts so", "acts_since.state": "state from which it does", "input_staged.size": "what the second stage adds", "band": "way past the middle between two steps", "output_ranges.slope": "excess of the gain above the level", "output_autorange.slope": "excess of the gain of the upper range",
+    "dose": "what fills the level", "event_replaces.duration": "duration of an event", "event_adds.duration": "duration of an event", "instead": "what it gives meanwhile", "beside": "what comes beside the input meanwhile", "event_replaces.lag": "lag of the actuator", "event_adds.lag": "lag of the actuator",
     "relay_feedback.low": "lower level", "relay_feedback.high": "upper level", "gain_heat.time": "time constant",
     "rise_and_fall.asymmetry": "relative excess of the rate when it rises", "orifices.asymmetry": "relative excess of the rate when it rises",
     "orifices.rate": "rate at twenty times the laminar difference",

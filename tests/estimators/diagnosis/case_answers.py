@@ -31,6 +31,8 @@ NAMED = {
     "its fan": ("tf", [("switched_late", [-2.0])], {"rest": False}),
     "a compressor": ("tf", [("least_pause", [4.4])], {"rest": False}),
     "a heat pump": ("tf", [("least_run", [3.7])], {"rest": False}),
+    "a defrost": ("tf", [("event_replaces", [0.3, 2.2, 3.6, -0.7, 0.8])], {"rest": False}),
+    "a siphon": ("tf", [("event_adds", [-0.2, 3.1, 2.3, 0.9, 0.0])], {"rest": False}),
     "two rates": ("tf", [("rate_limit_servo", [0.5, 0.2, 0.7])], {"rest": False}),
     "wind up": ("tf", [("wind_up", [0.1, 3.0, 0.3, -0.8, 0.9])], {"rest": False}),
     "thermostat": ("tf", [("relay_feedback", [0.1, 0.2, -0.7, -0.3, 0.4])], {"rest": False}),

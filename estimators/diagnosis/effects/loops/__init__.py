@@ -25,8 +25,8 @@ from estimators.diagnosis.effects.loops.remembering import (
 from estimators.diagnosis.effects.loops.scanned import SCANNED
 from estimators.diagnosis.effects.loops.servos import SERVOS
 from estimators.diagnosis.effects.loops.stores import CLEARED, STORES
-from estimators.diagnosis.effects.loops.switching import SWITCHING
-from estimators.diagnosis.effects.loops.three_point import THREE_POINT
+from estimators.diagnosis.effects.loops.switching import SWITCHING, THREE_POINT
+from estimators.diagnosis.effects.loops.triggered import TRIGGERED
 from estimators.diagnosis.effects.loops.vehicles import CARRIED_BY, TYRES
 
 __all__ = ["ACROSS", "FLOWS", "LOOPS", "PACES", "STORES", "play_widths", "slowest_rate"]
@@ -55,4 +55,5 @@ LOOPS = (
     CLEARED,
     CARRIED_BY,
     TYRES,
+    *TRIGGERED,
 )

@@ -17,6 +17,7 @@ from estimators.diagnosis.effects.kernels.recursion_kernels import WITHIN
 from estimators.diagnosis.effects.loops.flows import FLOWS, of_flow, of_penstock
 from estimators.diagnosis.effects.loops.geared import GEARED, of_drive
 from estimators.diagnosis.effects.loops.stores import STORES, cleared_at, ends_of, of_clearance
+from estimators.diagnosis.effects.loops.triggered import held_to
 from estimators.diagnosis.effects.loops.vehicles import at_rest, of_strut, of_tyres
 from estimators.diagnosis.effects.sensing.rates import limits
 from estimators.diagnosis.effects.symbols import terms
@@ -244,9 +245,44 @@ def _eliminated(w: Wiring, x: Any, p: Array) -> Any:
     return at
 
 
+def _above(ca: Any, first: Any, last: Any, mean: Any) -> Any:
+    """Mean of what goes from one value to another, above zero."""
+    crosses = 0.5 * ca.fmax(first, last) ** 2 / ca.fmax(ca.fabs(last - first), 1e-300)
+    return ca.if_else(ca.fmin(first, last) >= 0.0, mean, ca.if_else(ca.fmax(first, last) <= 0.0, 0.0, crosses))
+
+
+def _triggered(adds: bool) -> Callable[[Wiring, Any, Array], Any]:
+    def triggered(w: Wiring, x: Any, p: Array) -> Any:
+        threshold, dose, duration, value, lag = map(float, held_to(p))
+        ca, h, lag = w.ca, 1.0 / WITHIN, max(lag, 1e-9)
+        stays = float(np.exp(-h / lag))
+        s = w.state([w.value(x), 0.0, 0.0])
+        at, level, left, total = s.x[0], s.x[1], s.x[2], 0.0
+        for _ in range(WITHIN):
+            then, mean = x + (at - x) * stays, x + (at - x) * lag / h * (1.0 - stays)
+            runs, left = ca.fmin(left / h, 1.0), ca.fmax(left - h, 0.0)
+            rise = h * _above(ca, at - threshold, then - threshold, mean - threshold)
+            filled = level + (1.0 - runs) * rise
+            starts = ca.logic_and(left == 0.0, filled >= dose)
+            begins = ca.if_else(starts, (filled - dose) / ca.if_else(rise > 0.0, rise, 1.0), 0.0)
+            runs, left = runs + begins, ca.if_else(starts, ca.fmax(duration - begins * h, 0.0), left)
+            level = ca.if_else(ca.logic_or(starts, left > 0.0), 0.0, filled)
+            total, at = total + mean + runs * (value if adds else value - mean), then
+        s.after = w.ca.vertcat(at, _begun(w, level), _begun(w, left))
+        return ca.if_else(w.k < 0.0, x, total * h)
+
+    return triggered
+
+
+def _begun(w: Wiring, state: Any) -> Any:
+    """A state that is nothing before the record."""
+    return w.ca.if_else(w.k < 0.0, 0.0, state)
+
+
 LOOPED: Mapping[str, Callable[[Wiring, Any, Array], Any]] = {
     "rate_limit": _servo(1), "rate_limit_sampled": _servo(0), "rate_limit_servo": _servo(1), "three_point": _three_point, "wind_up": _wound_up, "relay_feedback": _switched,
     "rate_in_loop": _steered(0), "rate_of_loop": _steered(1), "rate_in_course": _steered(COURSE),
     "sensor_rate": _trailed, "strut": _carried, "tyre_slip": _cornered, "water_column": _headed, "loss_saturating": _eliminated, **{e.key: _geared(*how) for e, how in GEARED.items()},
     **{e.key: _stored(ends) for e, ends in STORES.items()}, **{e.key: _flowed(way) for e, way in FLOWS.items()},
+    "event_replaces": _triggered(False), "event_adds": _triggered(True),
 }  # fmt: skip
