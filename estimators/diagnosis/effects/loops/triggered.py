@@ -20,7 +20,7 @@ FEWEST, MOST = 3, 80
 """Events of a record, at least and about at most: two are pulses at any times, and of more in a short record each is no event."""
 SHORTEST, LONGEST, LONGER = 1.0, 0.5, 1.4
 """Duration of an event in samples, at least; of the time between two, at most; and the ratio of one to the next that are tried."""
-THRESHOLDS = (-1.0, -0.5, -0.25, -0.1, *np.linspace(0.0, 0.85, 18))
+THRESHOLDS = (-1.0, -0.5, -0.35, -0.25, -0.15, -0.1, -0.05, *np.linspace(0.0, 0.85, 18))
 """Of the input's range above its least value, that are tried: far below it a level fills as a clock runs."""
 CLOCK = -1e6  # such a threshold, at which nothing of the input is left
 AROUND = np.linspace(-0.04, 0.04, 9)  # and about those that promise most
@@ -29,10 +29,12 @@ SHIFTED = 0.4
 FINEST = 1e-4  # ratio of two doses less 1, at least: a long record has no more time
 PROMISE = 60.0
 """Likelihood ratio of the best events, below which none are fitted: chance over some ten thousand of them reaches 25 in white noise."""
-KEPT, FITTED, FURTHER = 4, 2, (0, 1)
+KEPT, FITTED, FURTHER = 4, 2, (-1, 0, 1)
 """Events that are tried with linear parts of their own, those of them that are moved and fitted, and poles that these may have more than
-the linear model, which leaves out what the events hide."""
+the linear model: it leaves out what the events hide, and has some that stand for them."""
+LESS = 0.8  # of what a linear part of as many poles leaves by itself, what events leave at most before they are moved
 LEAST_RECORD = 100  # samples, of which a few events leave some between them
+LAGS = 4  # of the autoregression: a plant, a sensor and their delay
 APART = 0.03  # of threshold and dose, by which two of them differ at least
 STEPS = (0.03, 0.5, 0.3, 0.3, 0.5)
 """By which events are moved first: threshold in the input's range, the last event and the duration in durations, the value in standard
@@ -77,23 +79,27 @@ class _Record:
         return gained(self.n, self.power, self.power - score / max(each, 1e-300))
 
 
-def _asked(channel: Any, base: Any, j: int, u: Array) -> _Record:
-    """What the residual, white and free of what the linear model can take up, has in common with each sample of an input."""
-    from estimators.diagnosis.model.fitting import ar_model, innovations
+def _asked(channel: Any, inputs: tuple[int, ...], u: Array) -> _Record:
+    """What the errors of an autoregression have in common with each sample of an input, `u` (N,), of all those of the channel: it takes no
+    poles of a linear model, which bend to what events do."""
+    from estimators.diagnosis.share.signals import late
 
-    s, e = base.structure, np.where(channel.keep, base.residual, 0.0)
-    known = len(base.noise) > 0
-    whitening = np.concatenate(([1.0], base.noise if known else ar_model(e)[0]))
-    J = base.jacobian if known or not base.jacobian.size else lfilter(whitening, [1.0], base.jacobian, axis=0)
-    Q = np.linalg.qr(J)[0] if J.size else np.zeros((len(e), 0))
-    r = innovations(e, whitening[1:])
-    r = r - Q @ (Q.T @ r)
-    at = s.order + s.inputs.index(j) * s.taps
-    num = np.convolve(np.concatenate((np.zeros(1 + s.delay), base.p[at : at + s.taps])), whitening)
-    passed = lambda x: np.asarray(lfilter(num, np.concatenate(([1.0], base.p[: s.order])), x))
-    back, turned = passed(r[::-1])[::-1], (u - np.mean(u)) / (np.std(u) + 1e-300)
+    y, n = channel.y - np.mean(channel.y[channel.keep]), len(u)
+    others = [x - np.mean(x) for j, x in zip(inputs, channel.u[:, list(inputs)].T, strict=True) if x is not u]
+    turned = (u - np.mean(u)) / (np.std(u) + 1e-300)
+    X = np.column_stack([late(x, k) for x in (y, turned, *others) for k in range(1, LAGS + 1)] + [turned, *others, np.ones(n)])
+    counts = channel.keep.copy()
+    counts[:LAGS] = False
+    X, y = X[counts], y[counts]
+    Q = np.linalg.qr(X)[0]
+    theta = np.linalg.lstsq(X, y, rcond=None)[0]
+    r = np.zeros(n)
+    r[counts] = y - Q @ (Q.T @ y)
+    passes = np.concatenate((theta[-2 - len(others) :][:1], theta[LAGS : 2 * LAGS]))
+    passed = lambda x: np.asarray(lfilter(passes, [1.0], x))
+    back = passed(r[::-1])[::-1]
     told = np.cumsum(np.stack((back, back * turned)), axis=1)
-    return _Record(u, np.concatenate((np.zeros((2, 1)), told), axis=1), passed, float(r @ r), base.n)
+    return _Record(u, np.concatenate((np.zeros((2, 1)), told), axis=1), passed, float(r @ r), int(np.sum(counts)))
 
 
 def _durations(n: int) -> Array:
@@ -179,19 +185,24 @@ def _closer(channel: Any, bare: Any, part: Any, record: _Record, best: tuple[flo
     return descended(around, best)
 
 
-def _clocked(channel: Any, bare: Any, part: Any, record: _Record) -> float:
-    """Sum of squares of the best events that a clock triggers: those that the input hardly hastens are no dose's."""
+def _clocked(channel: Any, bare: Any, part: Any, record: _Record, enough: float) -> float:
+    """Sum of squares of the best events that a clock triggers, where it may be near what is enough: those that the input hardly hastens are
+    no dose's."""
     found = _scan(record, np.array([CLOCK * (float(np.ptp(record.u)) + abs(float(np.max(record.u))))]))
-    if not found:
-        return np.inf
-    return _closer(channel, bare, part, record, _valued(channel, bare, part, record.u, found[0][1]))[0]
+    tried = [_valued(channel, bare, part, record.u, shape) for _, shape in found[:KEPT]]
+    best = min(tried, key=_left, default=(np.inf, bare.p))
+    return _closer(channel, bare, part, record, best)[0] if best[0] < enough else best[0]
+
+
+def _left(entry: tuple[float, Any]) -> float:
+    return entry[0]
 
 
 @lru_cache(maxsize=4)
 def _sought(channel: Any, base: Any, j: int) -> tuple[_Record, list[Array]]:
     """The record of an input with the events that are promising at it, which both effects share."""
     u = next(u for i, u in entering(channel, base) if i == j)
-    record = _asked(channel, base, j, np.ascontiguousarray(u))
+    record = _asked(channel, base.structure.inputs, np.ascontiguousarray(u))
     return record, _promising(record)
 
 
@@ -208,18 +219,20 @@ def _searched(adds: bool) -> Callable[..., Iterator[Any]]:
             record, shapes = _sought(channel, base, j)
             part, spread, tried = Part(TRIGGERED[adds], j), float(np.std(record.u)), []
             for more, delay in product(FURTHER, sorted({0, s.delay})) if shapes else ():
-                few, p, scales = of_order(base, s.order + more, s.taps + more)
-                bare = replace(base, structure=replace(few, delay=delay), p=p, scales=scales)
-                tried += [(*_valued(channel, bare, part, record.u, shape), bare) for shape in shapes]
-            for error, p, bare in sorted(tried, key=lambda entry: entry[0])[:FITTED]:
-                if not firm(base, error):
+                if s.order + more < 1:
                     continue
+                few, p, scales = of_order(base, s.order + more, max(s.taps + more, 1))
+                bare = replace(base, structure=replace(few, delay=delay), p=p, scales=scales)
+                plain = min(float(np.sum(base.residual**2)), remade(channel, bare.structure, p)[0])
+                with_events = (_valued(channel, bare, part, record.u, shape) for shape in shapes)
+                tried += [(e, (plain, bare, p)) for e, p in with_events if e < LESS * plain and firm(base, e)]
+            for error, (plain, bare, p) in sorted(tried, key=_left)[:FITTED]:
                 left, p = _closer(channel, bare, part, record, (error, p))
+                if gained(base.n, _clocked(channel, bare, part, record, LESS * plain), left) < PROMISE:
+                    continue
                 again = _valued(channel, bare, part, record.u, p[-5:-2], float(p[-1]))
                 if again[0] < left:  # they hid its poles from the input, and the value with them
-                    left, p = _closer(channel, bare, part, record, again)
-                if gained(base.n, _clocked(channel, bare, part, record), left) < PROMISE:
-                    continue
+                    _, p = _closer(channel, bare, part, record, again)
                 bare.scales[: bare.structure.plant_size] = plant_scales(bare.structure, p)
                 sizes = [spread, abs(p[-4]), abs(p[-3]), spread, 1.0]
                 starts = [p, *renewed(channel, bare.structure.adding(part), p)]
