@@ -378,6 +378,8 @@ ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     ("interleaved", "multiplexed of lags"), ("interleaved", "multiplexed of instants"), ("damping_settles", "resonance_drift"), ("damping_settles", "gain_settles"), ("damping_settles", "loss_change"),
     ("stiffness_settles", "inertia_settles"), ("inertia_settles", "stiffness_settles"), ("resonance_settles", "damping_settles"), ("stiffness_settles", "gain_settles"),
     ("stiffness_worked", "stiffness_cubic"), ("stiffness_cubic", "stiffness_worked"), ("stiffness_worked", "damping_worked"), ("damping_worked", "stiffness_worked"), ("position_damping", "damping_worked"), ("drag", "damping_worked"),
+    ("event_replaces", "waveform"), ("event_adds", "waveform"), ("event_adds", "steps_input"), ("event_adds", "relay_feedback"), ("event_replaces", "relay_feedback"), ("event_replaces", "saturation"), ("event_replaces", "gain_decay"), ("event_adds", "least_pause"), ("event_adds", "misread"),
+    ("waveform", "event_adds"), ("steps_input", "event_adds"), ("relay_feedback", "event_replaces"), ("gain_periodic", "event_replaces"), ("input_staged", "event_replaces"),
     ("acts_beyond", "rise_and_fall"), ("rise_and_fall", "acts_beyond"), ("saturation", "acts_beyond"), ("acts_beyond", "rate_limit_servo"), ("input_kink", "acts_beyond"), ("acts_beyond", "bilinear"), ("sensor_paced", "acts_beyond"),
     ("gain_settles", "exchange_fouled"), ("lag_drift", "exchange_fouled"), ("inertia_settles", "exchange_fouled"), ("exchange_fouled", "capacity_level"), ("bilinear", "exchange_fouled"),
     ("acts_since", "gain_periodic"), ("acts_since", "relay"), ("acts_since", "inertia_drift"), ("acts_since", "capacity_filled"),

@@ -141,6 +141,27 @@ def scaled(u, a):
     return sensor(process(rate, u, 0.6 * u[0] + 0.4), 0.6 * u[0] + 0.4, 0.6)
 
 
+def _until_full(u, threshold, dose, time, gives):
+    """What an actuator gives, which does another thing for a time whenever its level has been filled."""
+    level, left, out = 0.0, 0.0, np.zeros(len(u))
+    for k, value in enumerate(u):
+        for _ in range(FINE):
+            out[k] += (gives(value) if left > 0.0 else value) / FINE
+            level = 0.0 if left > 0.0 else level + max(value - threshold, 0.0) / FINE
+            left = time if level > dose else max(left - 1.0 / FINE, 0.0)
+    return out
+
+
+def heat_pump(u, a):
+    """A heat pump that ices up above a speed, and takes heat while it is thawed."""
+    return linear(_until_full(u, 3.0, 42.0, 9.0, lambda v: -1.0) if a else u)
+
+
+def filter_bed(u, a):
+    """A filter that is washed from behind whenever so much has passed, with a flow of its own beside."""
+    return linear(_until_full(u, 0.0, 120.0, 5.0, lambda v: v + 3.0) if a else u)
+
+
 def gap(u, a):
     """A capacity between plates: the reciprocal of what is left of a gap."""
     return 3.0 / (3.5 - a * sensor(u, u[0], 0.6)) if a else linear(u)
@@ -162,5 +183,6 @@ PASSAGES = {
     "loss_periodic": (aired, 2, {"mean": 4.0}),
     "stiffness_worked": (rubber, 2, {}), "damping_worked": (damper, 2, {}),
     "acts_beyond": (ranged_apart, 2, {}), "exchange_fouled": (scaled, 2, {"mean": 4.0}),
+    "event_replaces": (heat_pump, 2, {"mean": 4.0}), "event_adds": (filter_bed, 2, {"mean": 4.0}),
     "gain_cycle": (fouled, 2, {}), "multiplexed of instants": (two_converters, 2, {}), "output_autorange": (autoranged, 2, {}),
 }  # fmt: skip

@@ -23,7 +23,7 @@ SHORTEST, LONGEST, LONGER = 1.0, 0.5, 1.4
 THRESHOLDS = (-1.0, -0.5, -0.35, -0.25, -0.15, -0.1, -0.05, *np.linspace(0.0, 0.85, 18))
 """Of the input's range above its least value, that are tried: far below it a level fills as a clock runs."""
 CLOCK = -1e6  # such a threshold, at which nothing of the input is left
-AROUND = np.linspace(-0.04, 0.04, 9)  # and about those that promise most
+AROUND, NEARBY = np.linspace(-0.04, 0.04, 9), 0.03  # and about those that promise most, which are so far apart
 SHIFTED = 0.4
 """Of its duration, by which the last event is moved from one dose to the next that is tried."""
 FINEST = 1e-4  # ratio of two doses less 1, at least: a long record has no more time
@@ -35,7 +35,10 @@ the linear model: it leaves out what the events hide, and has some that stand fo
 LESS = 0.8  # of what a linear part of as many poles leaves by itself, what events leave at most before they are moved
 LEAST_RECORD = 100  # samples, of which a few events leave some between them
 LAGS = 4  # of the autoregression: a plant, a sensor and their delay
-APART = 0.03  # of threshold and dose, by which two of them differ at least
+APART, OFTENER = 0.1, 2
+"""Of the input's range and of their number, by which two of them differ at least; and the best, which may be every other or third of all."""
+ROUNDS, FINER, MOVES = 2, 0.3, 25
+"""Fits, steps after the first of them of those before, and moves from one to the next, at most: a valley of no ground has no end."""
 STEPS = (0.03, 0.5, 0.3, 0.3, 0.5)
 """By which events are moved first: threshold in the input's range, the last event and the duration in durations, the value in standard
 deviations of the input, the lag in samples."""
@@ -138,17 +141,25 @@ def _promising(record: _Record) -> list[Array]:
         return []
     near: list[float] = []
     for _, (threshold, *_) in found[: 2 * KEPT]:
-        if all(abs(threshold - other) > APART * wide for other in near):
+        if all(abs(threshold - other) > NEARBY * wide for other in near):
             near.append(float(threshold))
     close = np.unique(np.round([at + wide * AROUND for at in near[:KEPT]], 12))
-    kept_: list[Array] = []
+    distinct: list[tuple[float, float, Array]] = []
     for _, shape in sorted((*found, *_scan(record, close)), key=lambda entry: -entry[0]):
-        far = (abs(shape[0] - k[0]) > APART * wide or abs(np.log(shape[1] / k[1])) > APART for k in kept_)
-        if all(far):
-            kept_.append(shape)
-        if len(kept_) == KEPT:
+        place, often = shape[0] / wide, np.log(record.filled(shape[0])[-1] / shape[1])
+        if all(abs(place - other) > APART or abs(often - times) > APART for other, times, _ in distinct):
+            distinct.append((place, often, shape))
+        if len(distinct) == KEPT:
             break
-    return kept_
+    shapes = [shape for *_, shape in distinct]
+    return shapes + [_oftener(record, shape, m) for shape in shapes[:OFTENER] for m in (2, 3)]
+
+
+def _oftener(record: _Record, shape: Array, m: int) -> Array:
+    """Events that come so many times as often, among which are those of a shape: the input fills no level while one runs."""
+    threshold, dose, duration = shape
+    meanwhile = float(np.mean(np.maximum(record.u - threshold, 0.0))) * duration
+    return np.array([threshold, max(dose - (m - 1) * meanwhile, 0.1 * dose) / m, duration])
 
 
 def _valued(channel: Any, bare: Any, part: Any, u: Array, shape: Array, lag: float = 0.0) -> tuple[float, Array]:
@@ -166,16 +177,20 @@ def _valued(channel: Any, bare: Any, part: Any, u: Array, shape: Array, lag: flo
     return remade(channel, s.adding(part), np.concatenate((bare.p, shape, [events / (own or 1e-300), lag])))
 
 
-def _closer(channel: Any, bare: Any, part: Any, record: _Record, best: tuple[float, Array]) -> tuple[float, Array]:
+def _closer(channel: Any, bare: Any, part: Any, record: _Record, best: tuple[float, Array], part_of: float = 1.0) -> tuple[float, Array]:
     """(sum of squares, parameters) with events moved to where no others near them leave less: each of their parameters, the threshold with
     a dose that leaves their number."""
     u, s = record.u, bare.structure.adding(part)
     n, wide, spread = len(u), float(np.ptp(u)), float(np.std(u))
 
+    turns = iter(range(MOVES))
+
     def around(p: Array, size: float) -> Iterator[tuple[float, Array]]:
+        if next(turns, None) is None:
+            return
         threshold, dose, duration, value, lag = map(float, p[-5:])
         total = record.filled(threshold)[-1]
-        steps = size * np.array(STEPS) * (wide, duration / n, duration, spread, 1.0)
+        steps = part_of * size * np.array(STEPS) * (wide, duration / n, duration, spread, 1.0)
         for i, way in product(range(5), (-1.0, 1.0)):
             moved = way * steps[i] * np.eye(5)[i]
             at = threshold + moved[0]
@@ -198,6 +213,27 @@ def _left(entry: tuple[float, Any]) -> float:
     return entry[0]
 
 
+def _ended(channel: Any, bare: Any, part: Any, record: _Record, best: tuple[float, Array]) -> Iterator[Any]:
+    """Events fitted to the end, and once more from where no others near them leave less than the fit: an event that is a sample late has no
+    derivative that says so."""
+    from estimators.diagnosis.model.linear import plant_scales
+    from estimators.diagnosis.search.starts import renewed
+
+    s, spread = bare.structure.adding(part), float(np.std(record.u))
+    again = _valued(channel, bare, part, record.u, best[1][-5:-2], float(best[1][-1]))
+    if again[0] < best[0]:  # they hid its poles from the input, and the value with them
+        best = _closer(channel, bare, part, record, again)
+    for i in range(ROUNDS):
+        if i:
+            best = _closer(channel, bare, part, record, remade(channel, s, best[1]), FINER)
+        p = best[1]
+        bare.scales[: bare.structure.plant_size] = plant_scales(bare.structure, p)
+        sizes = [spread, abs(p[-4]), abs(p[-3]), spread, 1.0]
+        fits = list(ended(channel, bare, part, [p, *renewed(channel, s, p)], sizes))
+        yield from fits
+        best = min(((float(np.sum(f.residual**2)), f.p) for f in fits), key=_left)
+
+
 @lru_cache(maxsize=4)
 def _sought(channel: Any, base: Any, j: int) -> tuple[_Record, list[Array]]:
     """The record of an input with the events that are promising at it, which both effects share."""
@@ -210,14 +246,12 @@ def _searched(adds: bool) -> Callable[..., Iterator[Any]]:
     """Events at each input, with as many poles as the linear model and more, with its delay or none."""
 
     def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-        from estimators.diagnosis.model.linear import plant_scales
         from estimators.diagnosis.model.structure import Part
-        from estimators.diagnosis.search.starts import renewed
 
         s = base.structure
         for j in s.inputs if s.layout == "tf" and not s.effects and len(channel) >= LEAST_RECORD else ():
             record, shapes = _sought(channel, base, j)
-            part, spread, tried = Part(TRIGGERED[adds], j), float(np.std(record.u)), []
+            part, tried = Part(TRIGGERED[adds], j), []
             for more, delay in product(FURTHER, sorted({0, s.delay})) if shapes else ():
                 if s.order + more < 1:
                     continue
@@ -230,13 +264,7 @@ def _searched(adds: bool) -> Callable[..., Iterator[Any]]:
                 left, p = _closer(channel, bare, part, record, (error, p))
                 if gained(base.n, _clocked(channel, bare, part, record, LESS * plain), left) < PROMISE:
                     continue
-                again = _valued(channel, bare, part, record.u, p[-5:-2], float(p[-1]))
-                if again[0] < left:  # they hid its poles from the input, and the value with them
-                    _, p = _closer(channel, bare, part, record, again)
-                bare.scales[: bare.structure.plant_size] = plant_scales(bare.structure, p)
-                sizes = [spread, abs(p[-4]), abs(p[-3]), spread, 1.0]
-                starts = [p, *renewed(channel, bare.structure.adding(part), p)]
-                yield from lean(channel, ended(channel, bare, part, starts, sizes))
+                yield from lean(channel, _ended(channel, bare, part, record, (left, p)))
 
     return search
 
