@@ -5,6 +5,7 @@ import pytest
 
 from estimators.diagnosis.baseline.linear_model import Prior
 from estimators.diagnosis.effects import Clock, named
+from estimators.diagnosis.effects.kernels.event_kernels import scanned_events, triggered
 from estimators.diagnosis.effects.kernels.loop_kernels import (
     COURSE,
     carried,
@@ -149,3 +150,42 @@ def test_what_rides_on_a_moved_base_is_its_differential_equation():
         plain.append(x)
     run = carried(u, np.array([0.3, 0.05, 0.25, 1.5]), 0.0)
     assert np.max(np.abs(run - plain)) < 2e-3 * np.ptp(plain)
+
+
+@pytest.mark.parametrize("adds", [False, True])
+@pytest.mark.parametrize("lag", [0.0, 1.7])
+def test_an_event_runs_for_its_time_once_its_level_has_risen_by_its_dose(adds, lag):
+    """Against steps a two-hundredth of a sample long, from the record on: a constant input before it fills no level."""
+    fine, lead = 200, 5
+    u = np.repeat(np.random.default_rng(4).uniform(0.0, 3.0, 30), 8)
+    u[:lead] = u[lead]
+    threshold, dose, time, value = 0.8, 14.3, 5.4, -1.1
+    out, x, level, left = np.zeros(len(u)), u[0], 0.0, 0.0
+    for k, v in enumerate(u):
+        for _ in range(fine):
+            x = x + (v - x) / (lag * fine) if lag else v
+            out[k] += ((x + value if adds else value) if left > 0.0 else x) / fine
+            if left > 0.0:
+                left -= 1.0 / fine
+                level = max(-left, 0.0) * max(x - threshold, 0.0)  # of what is left of the step
+            elif k >= lead:
+                rise = max(x - threshold, 0.0)
+                level += rise / fine
+                if level >= dose:
+                    level, left = 0.0, time - (level - dose) / rise
+    found = triggered(u, np.array([threshold, dose, time, value, lag]), adds, u[0], lead)
+    assert np.sum(np.abs(found - u) > 0.5) > 20
+    np.testing.assert_allclose(found, out, atol=0.1)  # of an event that is a few steps late
+    assert np.mean(np.abs(found - out)) < 0.01
+
+
+def test_a_scan_of_doses_sums_what_is_told_of_each_event():
+    """A level that rises by one a sample: events of two samples at a dose of four begin at 4, 10, 16, and so on."""
+    n = 40
+    rng = np.random.default_rng(6)
+    told = np.concatenate((np.zeros((2, 1)), np.cumsum(rng.standard_normal((2, n)), axis=1)), axis=1)
+    filled = np.arange(n + 1.0)
+    begins = np.arange(4, n, 6)
+    sums = (told[:, np.minimum(begins + 2, n)] - told[:, begins]).sum(axis=1)
+    scores = scanned_events(filled, told, np.array([4.0, 30.0]), 2.0, 3)
+    np.testing.assert_allclose(scores, [sums @ sums / len(begins), 0.0])

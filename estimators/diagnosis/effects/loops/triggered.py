@@ -23,7 +23,10 @@ SHORTEST, LONGEST, LONGER = 1.0, 0.5, 1.4
 THRESHOLDS = (-1.0, -0.5, -0.35, -0.25, -0.15, -0.1, -0.05, *np.linspace(0.0, 0.85, 18))
 """Of the input's range above its least value, that are tried: far below it a level fills as a clock runs."""
 CLOCK = -1e6  # such a threshold, at which nothing of the input is left
-AROUND, NEARBY = np.linspace(-0.04, 0.04, 9), 0.03  # and about those that promise most, which are so far apart
+AROUND, NEARBY = (
+    np.linspace(-0.04, 0.04, 9),
+    0.03,
+)  # and about those that promise most, which are so far apart
 SHIFTED = 0.4
 """Of its duration, by which the last event is moved from one dose to the next that is tried."""
 FINEST = 1e-4  # ratio of two doses less 1, at least: a long record has no more time
@@ -78,7 +81,9 @@ class _Record:
 
     def promised(self, score: float, duration: float) -> float:
         """Likelihood ratio of a score."""
-        each = float(np.sum(self.passed(np.minimum(np.maximum(duration - np.arange(len(self.u)), 0.0), 1.0)) ** 2))
+        each = float(
+            np.sum(self.passed(np.minimum(np.maximum(duration - np.arange(len(self.u)), 0.0), 1.0)) ** 2)
+        )
         return gained(self.n, self.power, self.power - score / max(each, 1e-300))
 
 
@@ -90,7 +95,9 @@ def _asked(channel: Any, inputs: tuple[int, ...], u: Array) -> _Record:
     y, n = channel.y - np.mean(channel.y[channel.keep]), len(u)
     others = [x - np.mean(x) for j, x in zip(inputs, channel.u[:, list(inputs)].T, strict=True) if x is not u]
     turned = (u - np.mean(u)) / (np.std(u) + 1e-300)
-    X = np.column_stack([late(x, k) for x in (y, turned, *others) for k in range(1, LAGS + 1)] + [turned, *others, np.ones(n)])
+    X = np.column_stack(
+        [late(x, k) for x in (y, turned, *others) for k in range(1, LAGS + 1)] + [turned, *others, np.ones(n)]
+    )
     counts = channel.keep.copy()
     counts[:LAGS] = False
     X, y = X[counts], y[counts]
@@ -102,13 +109,17 @@ def _asked(channel: Any, inputs: tuple[int, ...], u: Array) -> _Record:
     passed = lambda x: np.asarray(lfilter(passes, [1.0], x))
     back = passed(r[::-1])[::-1]
     told = np.cumsum(np.stack((back, back * turned)), axis=1)
-    return _Record(u, np.concatenate((np.zeros((2, 1)), told), axis=1), passed, float(r @ r), int(np.sum(counts)))
+    return _Record(
+        u, np.concatenate((np.zeros((2, 1)), told), axis=1), passed, float(r @ r), int(np.sum(counts))
+    )
 
 
 def _durations(n: int) -> Array:
     """Durations that are tried, up to what leaves time between the fewest events."""
     return np.geomspace(
-        2.0 * SHORTEST, (top := max(LONGEST * n / (FEWEST + 1), 4.0)), int(np.log(top / 2.0) / np.log(LONGER)) + 1
+        2.0 * SHORTEST,
+        (top := max(LONGEST * n / (FEWEST + 1), 4.0)),
+        int(np.log(top / 2.0) / np.log(LONGER)) + 1,
     )
 
 
@@ -129,7 +140,9 @@ def _scan(record: _Record, thresholds: Array) -> list[tuple[float, Array]]:
                 continue
             scores = scanned_events(filled, record.told, doses, duration, FEWEST)
             at = int(np.argmax(scores))
-            found.append((record.promised(float(scores[at]), duration), np.array([threshold, doses[at], duration])))
+            found.append(
+                (record.promised(float(scores[at]), duration), np.array([threshold, doses[at], duration]))
+            )
     return sorted(found, key=lambda entry: -entry[0])
 
 
@@ -162,7 +175,9 @@ def _oftener(record: _Record, shape: Array, m: int) -> Array:
     return np.array([threshold, max(dose - (m - 1) * meanwhile, 0.1 * dose) / m, duration])
 
 
-def _valued(channel: Any, bare: Any, part: Any, u: Array, shape: Array, lag: float = 0.0) -> tuple[float, Array]:
+def _valued(
+    channel: Any, bare: Any, part: Any, u: Array, shape: Array, lag: float = 0.0
+) -> tuple[float, Array]:
     """(sum of squares, parameters) of events of a threshold, dose and duration behind a lag: their value is what they explain as an input of
     their own over what the input does."""
     from estimators.diagnosis.model.linear import fresh_poles, numerators
@@ -177,7 +192,9 @@ def _valued(channel: Any, bare: Any, part: Any, u: Array, shape: Array, lag: flo
     return remade(channel, s.adding(part), np.concatenate((bare.p, shape, [events / (own or 1e-300), lag])))
 
 
-def _closer(channel: Any, bare: Any, part: Any, record: _Record, best: tuple[float, Array], part_of: float = 1.0) -> tuple[float, Array]:
+def _closer(
+    channel: Any, bare: Any, part: Any, record: _Record, best: tuple[float, Array], part_of: float = 1.0
+) -> tuple[float, Array]:
     """(sum of squares, parameters) with events moved to where no others near them leave less: each of their parameters, the threshold with
     a dose that leaves their number."""
     u, s = record.u, bare.structure.adding(part)
@@ -194,7 +211,13 @@ def _closer(channel: Any, bare: Any, part: Any, record: _Record, best: tuple[flo
         for i, way in product(range(5), (-1.0, 1.0)):
             moved = way * steps[i] * np.eye(5)[i]
             at = threshold + moved[0]
-            shape = at, dose * (1.0 + moved[1]) * record.filled(at)[-1] / total, duration + moved[2], value + moved[3], max(lag + moved[4], 0.0)
+            shape = (
+                at,
+                dose * (1.0 + moved[1]) * record.filled(at)[-1] / total,
+                duration + moved[2],
+                value + moved[3],
+                max(lag + moved[4], 0.0),
+            )
             yield remade(channel, s, np.concatenate((p[:-5], shape)))
 
     return descended(around, best)

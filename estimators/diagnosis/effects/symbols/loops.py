@@ -248,7 +248,9 @@ def _eliminated(w: Wiring, x: Any, p: Array) -> Any:
 def _above(ca: Any, first: Any, last: Any, mean: Any) -> Any:
     """Mean of what goes from one value to another, above zero."""
     crosses = 0.5 * ca.fmax(first, last) ** 2 / ca.fmax(ca.fabs(last - first), 1e-300)
-    return ca.if_else(ca.fmin(first, last) >= 0.0, mean, ca.if_else(ca.fmax(first, last) <= 0.0, 0.0, crosses))
+    return ca.if_else(
+        ca.fmin(first, last) >= 0.0, mean, ca.if_else(ca.fmax(first, last) <= 0.0, 0.0, crosses)
+    )
 
 
 def _triggered(adds: bool) -> Callable[[Wiring, Any, Array], Any]:
