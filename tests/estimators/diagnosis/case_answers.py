@@ -81,6 +81,7 @@ NAMED = {
     "run up": ("tf", [("sweep_input", [0.2, 0.001, 0.3, 0.2, 1.5])], {}),
     "scans": ("tf", [("input_scanned", [3.0, 1.0])], {"rest": False}), "own scans": ("tf", [("input_scanned", [3.37, 1.2])], {"rest": False}),
     "sine": ("tf", [("output_sine", [0.9, 0.3]), ("input_sine", [0.8, 0.3])], {}),
+    "fired": ("tf", [("phase_angle", [0.8, 0.3])], {"rest": False}), "fired for a voltage": ("tf", [("phase_angle_voltage", [-0.8, 0.3])], {}),
     "worn": ("tf", [("gain_worn", [0.02, 0.6])], {"rest": False}),
     "at times": ("tf", [("reported_in_time", [0.3, 7.0, 2.0, 0.1])], {"rest": False}),
     "out of echo": ("tf", [("held_in_motion", [0.1, 0.5])], {"rest": False}),

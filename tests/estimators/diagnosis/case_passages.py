@@ -174,6 +174,23 @@ def ranged_apart(u, a):
     return sensor(heated - cooled, heated[0] - cooled[0], 0.85)
 
 
+def _fired(u, a, law):
+    """A resistive load whose thyristors are fired at 90 degrees and 55 for each unit of the input; without them, what follows it."""
+    angle = np.clip(np.pi / 2.0 + np.radians(55.0) * u, 0.0, np.pi)
+    share = 1.0 - angle / np.pi + np.sin(2.0 * angle) / (2.0 * np.pi)
+    return sensor(law(share) if a else -u, (law(share) if a else -u)[0], 0.8)
+
+
+def oven(u, a):
+    """An oven's power over its firing angle."""
+    return _fired(u, a, lambda share: share)
+
+
+def lamp(u, a):
+    """A lamp's voltage over its firing angle."""
+    return _fired(u, a, lambda share: np.sqrt(np.maximum(share, 0.0)))
+
+
 _FLOW = {"mean": 4.0, "size": 1.2}
 PASSAGES = {
     # effect: maker, order of the linear model, form of the input
@@ -184,5 +201,6 @@ PASSAGES = {
     "stiffness_worked": (rubber, 2, {}), "damping_worked": (damper, 2, {}),
     "acts_beyond": (ranged_apart, 2, {}), "exchange_fouled": (scaled, 2, {"mean": 4.0}),
     "event_replaces": (heat_pump, 2, {"mean": 4.0}), "event_adds": (filter_bed, 2, {"mean": 4.0}),
+    "phase_angle": (oven, 1, {}), "phase_angle_voltage": (lamp, 1, {}),
     "gain_cycle": (fouled, 2, {}), "multiplexed of instants": (two_converters, 2, {}), "output_autorange": (autoranged, 2, {}),
 }  # fmt: skip

@@ -86,12 +86,12 @@ def power(x: Any, p: Array, clock: Clock) -> Any:
 
 
 def odd(f: Callable[[Any], Any]) -> Callable[[Any, Array, Clock], Any]:
-    """The curve f(c (x - centre))/c of an odd f, from its value at zero; the identity for small c."""
+    """The curve f(c (x - centre))/c of an f of slope 1 at zero, odd or not, from its value at zero; the identity for small c."""
 
     def curve(x: Any, p: Array, clock: Clock) -> Any:
         if abs(p[0]) < LEAST:
             return x
-        return (f(p[0] * (x - p[1])) + f(p[0] * p[1])) / p[0]
+        return (f(p[0] * (x - p[1])) - f(-p[0] * p[1])) / p[0]
 
     return curve
 
@@ -287,16 +287,11 @@ def _changed_gain(channel: Any, base: Any, j: int) -> Any:
     return Start(s.adding(Part(GAIN_CHANGE, j)), p, np.concatenate((base.scales, [1.0, 1.0])), 0.0)
 
 
-def _static(key: str, cause: str, sentence: str, **fields: Any) -> Effect:
+def static(key: str, cause: str, sentence: str, **fields: Any) -> Effect:
+    """A static curve of one input, before which an actuator may lag."""
     return Effect(
-        key=key,
-        cause=cause,
-        nature=Nature.INPUT_STATIC,
-        slot=Slot.INPUT,
-        sentence=sentence,
-        lagged=True,
-        **fields,
-    )
+        key=key, cause=cause, nature=Nature.INPUT_STATIC, slot=Slot.INPUT, sentence=sentence, lagged=True, **fields
+    )  # fmt: skip
 
 
 def _moving(key: str, cause: str, sentence: str, **fields: Any) -> Effect:
@@ -322,49 +317,49 @@ SANDWICH = Effect(
     apply=_hinges, shape=_corners,
 )  # fmt: skip
 
-LINES = _static(
+LINES = static(
     "input_lines", "hammerstein", "the input acts through a broken line, a static curve of no simpler form",
     trials=30, block=True, apply=lambda x, p, c: broken_line(x, p), shape=_corners,
 )  # fmt: skip
 
 INPUT = (
-    _static("saturation", "input_saturation", "the input is limited to +-limit", parameters={"limit": "u"}, trials=6,
+    static("saturation", "input_saturation", "the input is limited to +-limit", parameters={"limit": "u"}, trials=6,
             two_sided=True, apply=lambda x, p, c: np.clip(x, -abs(p[0]), abs(p[0])),
             starts=lambda s: (quantiles(np.abs(s.u), 0.97, 0.9, 0.8, 0.65, 0.5) + [[1.5 * s.su], [s.su]], [s.su])),
-    _static("saturation_asymmetric", "input_saturation", "the input is limited to [low, high]",
+    static("saturation_asymmetric", "input_saturation", "the input is limited to [low, high]",
             parameters={"low": "u", "high": "u"}, trials=15, apply=lambda x, p, c: np.clip(x, min(p), max(p)),
             starts=lambda s: ([a + b for a in quantiles(s.u, 0.03, 0.12, 0.25)
                                for b in quantiles(s.u, 0.97, 0.88, 0.75)], [s.su, s.su])),
-    _static("saturation_upper", "input_saturation", "the input is limited from above", parameters={"high": "u"}, trials=6,
+    static("saturation_upper", "input_saturation", "the input is limited from above", parameters={"high": "u"}, trials=6,
             apply=lambda x, p, c: np.minimum(x, p[0]),
             starts=lambda s: (quantiles(s.u, 0.98, 0.93, 0.85, 0.75, 0.6), [s.su])),
-    _static("saturation_lower", "input_saturation", "the input is limited from below", parameters={"low": "u"}, trials=6,
+    static("saturation_lower", "input_saturation", "the input is limited from below", parameters={"low": "u"}, trials=6,
             apply=lambda x, p, c: np.maximum(x, p[0]),
             starts=lambda s: (quantiles(s.u, 0.02, 0.07, 0.15, 0.25, 0.4), [s.su])),
-    _static("dead_zone", "input_deadzone", "small inputs do nothing", parameters={"half_width": "u"}, trials=6,
+    static("dead_zone", "input_deadzone", "small inputs do nothing", parameters={"half_width": "u"}, trials=6,
             apply=lambda x, p, c: dead_zone(x, -abs(p[0]), abs(p[0])),
             starts=lambda s: ([[f * s.su] for f in (0.1, 0.2, 0.35, 0.5, 0.75, 1.0)], [s.su])),
-    _static("dead_zone_asymmetric", "input_deadzone", "inputs between low and high do nothing",
+    static("dead_zone_asymmetric", "input_deadzone", "inputs between low and high do nothing",
             parameters={"low": "u", "high": "u"}, trials=15,
             apply=lambda x, p, c: dead_zone(x, min(p), max(p)),
             starts=lambda s: (zones(s.u, (0.1, 0.3, 0.6)), [s.su, s.su])),
-    _static("input_quadratic", "hammerstein", "the input acts through u + c2 u^2", parameters={"c2": "1/u"}, amplitude=0,
+    static("input_quadratic", "hammerstein", "the input acts through u + c2 u^2", parameters={"c2": "1/u"}, amplitude=0,
             apply=lambda x, p, c: x * (1.0 + p[0] * x), starts=lambda s: ([[0.03 / s.su]], [1 / s.su])),
-    _static("input_cubic", "hammerstein", "the input acts through u + c3 u^3", parameters={"c3": "1/u^2"}, amplitude=0,
+    static("input_cubic", "hammerstein", "the input acts through u + c3 u^3", parameters={"c3": "1/u^2"}, amplitude=0,
             apply=lambda x, p, c: x * (1.0 + p[0] * x**2), starts=lambda s: ([[0.02 / s.su**2]], [1 / s.su**2])),
-    _static("input_polynomial", "hammerstein", "the input acts through u + c2 u^2 + c3 u^3",
+    static("input_polynomial", "hammerstein", "the input acts through u + c2 u^2 + c3 u^3",
             parameters={"c2": "1/u", "c3": "1/u^2"}, apply=lambda x, p, c: x * (1.0 + x * (p[0] + p[1] * x)),
             starts=lambda s: ([[a / s.su, b / s.su**2] for a in (-0.1, 0.1) for b in (-0.03, 0.03)],
                               [1 / s.su, 1 / s.su**2])),
-    _static("input_exponential", "hammerstein", "the input acts through an exponential curve, (exp(c u) - 1)/c: a valve of equal percentage",
+    static("input_exponential", "hammerstein", "the input acts through an exponential curve, (exp(c u) - 1)/c: a valve of equal percentage",
             parameters={"c": "1/u"}, trials=4, apply=exponential,
             starts=lambda s: ([[f / s.su] for f in (0.25, 0.6, 1.2, -0.25, -0.6, -1.2)], [1 / s.su])),
-    _static("input_power", "hammerstein", "the input acts through a power of its size", parameters={"power": "1"}, trials=4,
+    static("input_power", "hammerstein", "the input acts through a power of its size", parameters={"power": "1"}, trials=4,
             apply=power, starts=lambda s: ([[0.5], [1.5], [2.0], [3.0]], [1.0])),
-    _static("input_tanh", "input_saturation", "the input saturates smoothly: tanh(c (u - centre))/c",
+    static("input_tanh", "input_saturation", "the input saturates smoothly: tanh(c (u - centre))/c",
             parameters={"c": "1/u", "centre": "u"}, trials=8, apply=odd(np.tanh),
             starts=lambda s: ([[f / s.su, m] for f in (0.4, 1.2) for m in s.centres(s.u)], [1 / s.su, s.su])),
-    _static("input_sine", "hammerstein", "the input acts through a sine: sin(c (u - centre))/c, light through a modulator, a crank's angle",
+    static("input_sine", "hammerstein", "the input acts through a sine: sin(c (u - centre))/c, light through a modulator, a crank's angle",
             parameters={"c": "1/u", "centre": "u"}, trials=12, apply=odd(np.sin), starts=_arcs),
     LINES,
     _moving("rate_limit", "rate_limiter", "the actuator cannot move faster than the rate", trials=6, reversing=True,
@@ -381,7 +376,7 @@ INPUT = (
     _moving("hysteresis_rate", "hysteresis", "the input is a velocity, and the force that it makes has a hysteretic part",
             parameters={"level": "u", "way": "u sample"}, trials=15, reversing=True, lagged=True, apply=_rate_driven,
             starts=lambda s: ([[f * s.su, w * s.su] for f in (0.4, 1.5) for w in (0.5, 2.0, 8.0)], [s.su, s.su])),
-    _static("input_kink", "hammerstein", "the input acts through a kink at zero: u + level tanh(c u), as of dry friction",
+    static("input_kink", "hammerstein", "the input acts through a kink at zero: u + level tanh(c u), as of dry friction",
             parameters={"level": "u", "c": "1/u"}, trials=8, apply=lambda x, p, clock: x + p[0] * np.tanh(p[1] * x),
             starts=lambda s: ([[f * s.su, c / s.su] for f in (-0.5, 0.5, 1.5) for c in (2.0, 8.0)], [s.su, 1.0 / s.su])),
     _moving("relay", "relay", "the input acts through a relay that switches with hysteresis", lagged=True,

@@ -1,0 +1,30 @@
+"""Effects at the input: what happens to it before it reaches the linear part of a plant."""
+
+from estimators.diagnosis.effects.input.acting import (
+    DELAY,
+    LEAST,
+    LINES,
+    SANDWICH,
+    after,
+    any_linear,
+    aside,
+    banked,
+    broken_line,
+    dead_zone,
+    exponential,
+    kept,
+    moved,
+    odd,
+    quantiles,
+    told_beside,
+    zones,
+)
+from estimators.diagnosis.effects.input.acting import INPUT as _INPUT
+from estimators.diagnosis.effects.input.phase_angle import PHASE_ANGLE
+
+__all__ = [
+    "DELAY", "INPUT", "LEAST", "LINES", "PHASE_ANGLE", "SANDWICH", "after", "any_linear", "aside", "banked", "broken_line", "dead_zone",
+    "exponential", "kept", "moved", "odd", "quantiles", "told_beside", "zones",
+]  # fmt: skip
+
+INPUT = (*_INPUT, *PHASE_ANGLE)
