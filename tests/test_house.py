@@ -27,12 +27,7 @@ WIDE = {
 }
 # An effect starts its own fits, and the fits know effects: inside functions only, as `effects/__init__` says.
 CYCLES = {
-    (
-        "estimators.diagnosis.effects.disturbances.added",
-        "estimators.diagnosis.effects.input",
-        "estimators.diagnosis.model.linear",
-        "estimators.diagnosis.search.starts",
-    ),
+    ("estimators.diagnosis.effects.disturbances.added", "estimators.diagnosis.model.linear"),
 }
 
 

@@ -338,7 +338,6 @@ ALL_CLASSES = CLASSES | DRIVES | PASSAGES | {
     "acts_since": (opened, 1, {"mean": 2.0, "inputs": 2}), "damping_settles": (leaking, 2, {}), "multiplexed of lags": (polled, 2, {}),
     "rate_in_course": (steered_ship, 3, {"hold": 40, "size": 0.5}), "automatic_gain": (compressed, 2, {}), "output_gain_periodic": (beating, 2, {}),
 
-
     "recycle": (recycled, 2, {}), "waveform": (on_a_timer, 2, {}), "stiction_sliding": (slid, 2, {"hold": 2}),
 }  # fmt: skip
 
@@ -364,6 +363,7 @@ ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     ("misread_since", "misread"), ("misread_since", "acts_since"), ("misread_since", "gain_decay"), ("misread_since", "gain_settles"), ("misread_since", "steps_output"), ("gain_change", "misread"), ("gain_change", "misread_since"), ("acts_since", "misread"),
     ("pulse_input", "misread"), ("steps_output", "misread"), ("steps_output", "misread_since"), ("output_ranges", "misread"), ("automatic_gain", "misread"), ("steps_input", "gain_periodic"), ("steps_output", "lost_samples"), ("steps_output", "steps_input"), ("output_gain_periodic", "waveform"),
     ("rate_in_course", "rate_in_loop"), ("rate_in_course", "wind_up"), ("rate_in_loop", "rate_in_course"), ("rate_limit_servo", "rate_in_course"), ("automatic_gain", "gain_heat"), ("automatic_gain", "output_ratio"), ("output_ratio", "automatic_gain"), ("gain_heat", "automatic_gain"),
+    ("automatic_gain", "input_tanh"), ("automatic_gain", "capacity_level"), ("automatic_gain of a level", "gain_fatigue"), ("input_tanh", "automatic_gain of a level"), ("capacity_level", "automatic_gain of a level"), ("gain_heat", "automatic_gain of a level"),
     ("output_gain_periodic", "gain_periodic"), ("gain_periodic", "output_gain_periodic"), ("output_gain_periodic", "delay_periodic"), ("automatic_gain", "output_gain_periodic"),
     ("interleaved", "multiplexed of lags"), ("interleaved", "multiplexed of instants"), ("damping_settles", "resonance_drift"), ("damping_settles", "gain_settles"), ("damping_settles", "loss_change"),
     ("stiffness_settles", "inertia_settles"), ("inertia_settles", "stiffness_settles"), ("resonance_settles", "damping_settles"), ("stiffness_settles", "gain_settles"),

@@ -191,6 +191,16 @@ def lamp(u, a):
     return _fired(u, a, lambda share: np.sqrt(np.maximum(share, 0.0)))
 
 
+def room(u, a):
+    """A source in a room whose receiver holds its reading nearly level: its gain goes with one over what it has read of late."""
+    x = sensor(u, u[0], 0.8)
+    size, out = abs(x[0]), np.empty(len(u))
+    for k, value in enumerate(x):
+        out[k] = 3.0 * value / (0.2 + size) if a else value
+        size += (abs(value) - size) / 30.0
+    return out
+
+
 _FLOW = {"mean": 4.0, "size": 1.2}
 PASSAGES = {
     # effect: maker, order of the linear model, form of the input
@@ -201,6 +211,7 @@ PASSAGES = {
     "stiffness_worked": (rubber, 2, {}), "damping_worked": (damper, 2, {}),
     "acts_beyond": (ranged_apart, 2, {}), "exchange_fouled": (scaled, 2, {"mean": 4.0}),
     "event_replaces": (heat_pump, 2, {"mean": 4.0}), "event_adds": (filter_bed, 2, {"mean": 4.0}),
+    "automatic_gain of a level": (room, 2, {"mean": 3.0}),
     "phase_angle": (oven, 1, {}), "phase_angle_voltage": (lamp, 1, {}),
     "gain_cycle": (fouled, 2, {}), "multiplexed of instants": (two_converters, 2, {}), "output_autorange": (autoranged, 2, {}),
 }  # fmt: skip

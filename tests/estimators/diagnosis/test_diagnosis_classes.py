@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from estimators.diagnosis.baseline.linear_model import Prior
 from estimators.diagnosis.effects import CATALOGUE, Clock, named
 from estimators.diagnosis.effects.disturbances.added import OFFSET
-from estimators.diagnosis.effects.kernels.recursion_kernels import levelled, relay, restored
+from estimators.diagnosis.effects.kernels.recursion_kernels import levelled, relay, size_of_late
 from estimators.diagnosis.effects.kernels.spline_kernels import read_between
 from estimators.diagnosis.effects.loops import slowest_rate
 from estimators.diagnosis.effects.path import INITIAL
@@ -166,13 +166,11 @@ def test_what_repeats_has_the_period_of_its_timer_and_the_harmonics_that_its_edg
     assert f.structure.parts[-1].size > 9  # a pulse of a fifth lacks the fifth, and has those beyond
 
 
-def test_what_automatic_gain_has_levelled_is_restored_to_the_last_digits():
+def test_an_automatic_gain_follows_the_size_of_late_of_what_is_read():
     x = np.random.default_rng(3).standard_normal(400) * np.repeat([0.2, 3.0, 0.5, 1.0], 100)
     for law in ((2.0, 0.5, 4.0, 60.0), (0.3, 1.0, 20.0, 20.0)):
-        shown = levelled(x, *law)
-        again, gain = restored(shown, *law)
-        np.testing.assert_allclose(again, x, rtol=1e-9)
-        np.testing.assert_allclose(again * gain, shown, rtol=1e-12)
+        shown, of_late = levelled(x, *law), size_of_late(np.abs(x), *law[2:])
+        np.testing.assert_allclose(shown, x * (1.0 + law[0] * of_late) ** -law[1], rtol=1e-12)
         size = abs(x[0])
         for k, value in enumerate(x):
             assert shown[k] == pytest.approx(value / (1.0 + law[0] * size) ** law[1], rel=1e-12)

@@ -1,6 +1,7 @@
 """Effects at the input: what happens to it before it reaches the linear part of a plant."""
 
 from estimators.diagnosis.effects.input.acting import (
+    AWAY,
     DELAY,
     LEAST,
     LINES,
@@ -23,7 +24,7 @@ from estimators.diagnosis.effects.input.acting import INPUT as _INPUT
 from estimators.diagnosis.effects.input.phase_angle import PHASE_ANGLE
 
 __all__ = [
-    "DELAY", "INPUT", "LEAST", "LINES", "PHASE_ANGLE", "SANDWICH", "after", "any_linear", "aside", "banked", "broken_line", "dead_zone",
+    "AWAY", "DELAY", "INPUT", "LEAST", "LINES", "PHASE_ANGLE", "SANDWICH", "after", "any_linear", "aside", "banked", "broken_line", "dead_zone",
     "exponential", "kept", "moved", "odd", "quantiles", "told_beside", "zones",
 ]  # fmt: skip
 

@@ -11,8 +11,6 @@ WITHIN = 8
 
 LEAST_LEFT = 0.02
 """Of a capacity at the start of a record, that is left of it however much has been drawn: what is empty has no time constant."""
-LEAST_GAIN = 0.01
-"""Of a sensor that is restored: one that shows less says nothing of its signal."""
 SETTLING = 100
 """Halved steps towards where a loss that its own power changes has settled: beyond any share that can be told."""
 
@@ -110,19 +108,15 @@ def levelled(signal, share, power, rises, falls):  # pragma: no cover - compiled
 
 
 @compiled
-def restored(signal, share, power, rises, falls):  # pragma: no cover - compiled
-    """The signal that was levelled so, and its gain."""
-    out, gain = np.empty_like(signal), np.empty_like(signal)
-    up, down = 1.0 - np.exp(-1.0 / rises), 1.0 - np.exp(-1.0 / falls)
-    size = abs(signal[0])
-    for _ in range(SETTLING):  # until it is the size that was levelled to what stands there
-        size = abs(signal[0]) / max((1.0 + share * size) ** -power, LEAST_GAIN)
-    for k in range(signal.shape[0]):
-        gain[k] = max((1.0 + share * size) ** -power, LEAST_GAIN)
-        out[k] = signal[k] / gain[k]
-        more = abs(out[k]) - size
-        size += (up if more > 0.0 else down) * more
-    return out, gain
+def size_of_late(size, rises, falls):  # pragma: no cover - compiled
+    """The average of late of a size that had settled on its first value, by other time constants as it rises and as it falls."""
+    out = np.empty_like(size)
+    late, up, down = size[0], 1.0 - np.exp(-1.0 / rises), 1.0 - np.exp(-1.0 / falls)
+    for k in range(size.shape[0]):
+        out[k] = late
+        more = size[k] - late
+        late += (up if more > 0.0 else down) * more
+    return out
 
 
 @compiled

@@ -9,19 +9,14 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
-from estimators.diagnosis.effects.output import KEPT, mended
+from estimators.diagnosis.effects.output import KEPT
 from estimators.diagnosis.effects.profiled import SWAY, ended, firm, rotating, swaying, waved
+from estimators.diagnosis.effects.sensing.foretold import by_size
 from estimators.diagnosis.effects.sensing.sensors import settled
 
 Array = NDArray[Any]
-HELD = (5.0, 20.0, 80.0, 320.0)
-"""Samples of an envelope's time constant that are tried: quicker ones are a curve of the output, slower ones a drift of the gain."""
-LEFT = (0.7, 0.4, 0.15)
-"""Gains at the mean size of what is shown that are tried."""
 LEAST = 0.1
 """Gain of a sensor from which on what it shows says what it reads: a periodic one may pass zero."""
-POWERS = (0.5, 1.0)
-"""By which the gain falls with the size, that are tried: it is told by what comes out, and by what goes in."""
 
 
 def law_of(p: Array) -> tuple[float, float, float, float]:
@@ -36,37 +31,11 @@ def _levelled(x: Array, p: Array, clock: Clock) -> Array:
     return levelled(np.ascontiguousarray(settled(x, clock) - p[4]), *law_of(p)) + p[4]
 
 
-def _restored(e: Effect, shape: list[float], channel: Any) -> tuple[Array, Array]:
-    """What was read before its gain was set, and how much of an error in it is seen."""
-    from estimators.diagnosis.effects.kernels.recursion_kernels import restored
-
-    x, through = restored(np.ascontiguousarray(channel.y - shape[4]), *law_of(np.array(shape)))
-    return x + shape[4], through
-
-
-def _held_back(channel: Any) -> list[list[float]]:
-    middle = float(np.mean(channel.y))
-    size = float(np.mean(np.abs(channel.y - middle))) + 1e-300
-    times = [t for t in HELD if 10.0 * t < len(channel)]
-    return [
-        [(g ** (-1.0 / b) - 1.0) * g / size, b, t, t, middle] for t in times for b in POWERS for g in LEFT
-    ]
-
-
-def _closer(channel: Any, best: list[float]) -> list[list[float]]:
-    share, power, time, _, middle = best
-    factors = [
-        (f, g, h) for f in (0.8, 1.0, 1.25) for g, h in ((0.6, 0.6), (1.6, 1.6), (0.3, 1.5), (1.5, 0.3))
-    ]
-    return [[share * f, power, time * g, time * h, middle] for f, g, h in factors]
-
-
 LEVELLED = Effect(
     key="automatic_gain", cause="automatic_gain", nature=Nature.DYNAMIC, slot=Slot.OUTPUT, memory=True, trials=50,
     sentence="the sensor's gain falls as the mean size of what it has read of late grows: automatic gain control, a compressor",
     parameters={"share": "1/y", "power": "1", "rises": "sample", "falls": "sample", "level": "y"}, apply=_levelled,
-    search=mended(lambda: LEVELLED, _held_back, _closer, lambda c: [1.0 / (float(np.std(c.y)) + 1e-300), 1.0, 10.0, 10.0, float(np.std(c.y))],
-                   _restored, fitted=True),
+    search=by_size(lambda: LEVELLED),
 )  # fmt: skip
 
 
