@@ -87,13 +87,13 @@ class _Record:
         return gained(self.n, self.power, self.power - score / max(each, 1e-300))
 
 
-def _asked(channel: Any, inputs: tuple[int, ...], u: Array) -> _Record:
-    """What the errors of an autoregression have in common with each sample of an input, `u` (N,), of all those of the channel: it takes no
-    poles of a linear model, which bend to what events do."""
+def _asked(channel: Any, inputs: tuple[int, ...], j: int, u: Array) -> _Record:
+    """What the errors of an autoregression have in common with each sample of the input j, `u` (N,), among others: it takes no poles of a
+    linear model, which bend to what events do."""
     from estimators.diagnosis.share.signals import late
 
     y, n = channel.y - np.mean(channel.y[channel.keep]), len(u)
-    others = [x - np.mean(x) for j, x in zip(inputs, channel.u[:, list(inputs)].T, strict=True) if x is not u]
+    others = [x - np.mean(x) for x in channel.u[:, [i for i in inputs if i != j]].T]
     turned = (u - np.mean(u)) / (np.std(u) + 1e-300)
     X = np.column_stack(
         [late(x, k) for x in (y, turned, *others) for k in range(1, LAGS + 1)] + [turned, *others, np.ones(n)]
@@ -105,7 +105,7 @@ def _asked(channel: Any, inputs: tuple[int, ...], u: Array) -> _Record:
     theta = np.linalg.lstsq(X, y, rcond=None)[0]
     r = np.zeros(n)
     r[counts] = y - Q @ (Q.T @ y)
-    passes = np.concatenate((theta[-2 - len(others) :][:1], theta[LAGS : 2 * LAGS]))
+    passes = np.concatenate(([theta[-2 - len(others)]], theta[LAGS : 2 * LAGS]))
     passed = lambda x: np.asarray(lfilter(passes, [1.0], x))
     back = passed(r[::-1])[::-1]
     told = np.cumsum(np.stack((back, back * turned)), axis=1)
@@ -261,7 +261,7 @@ def _ended(channel: Any, bare: Any, part: Any, record: _Record, best: tuple[floa
 def _sought(channel: Any, base: Any, j: int) -> tuple[_Record, list[Array]]:
     """The record of an input with the events that are promising at it, which both effects share."""
     u = next(u for i, u in entering(channel, base) if i == j)
-    record = _asked(channel, base.structure.inputs, np.ascontiguousarray(u))
+    record = _asked(channel, base.structure.inputs, j, np.ascontiguousarray(u))
     return record, _promising(record)
 
 
