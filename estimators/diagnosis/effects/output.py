@@ -306,6 +306,7 @@ FALSE = 1e-4  # chance of a line of the age where there is none, over all freque
 LINES, PHASES, NEAR = (3, 8, np.linspace(-1.0, 1.0, 9))
 
 
+LATE = (0.25, 0.5, 0.75, 1.0)  # of a period, by which what an analyser reads may be late, that are tried
 MOST = 0.9  # samples that must count
 # ever closer to a period and its phase
 GRID, FINER = (np.linspace(-1.0, 1.0, 5), (0.1, 0.05, 0.025, 0.012, 0.006, 0.003, 0.0015))
@@ -357,7 +358,8 @@ def _ages(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         # of the refreshes, and the samples that read them first
         when, first = np.unique(at, return_index=True)
         fresh = CubicSpline(when, channel.y[first])(np.arange(n)) if len(when) > 3 else channel.y
-        fits = [fit_linear(replace(channel, y=fresh), replace(s, delay=d), rough=True) for d in {0, s.delay}]
+        delays = sorted({0, s.delay, *(round(part * shape[0]) for part in LATE)})
+        fits = [fit_linear(replace(channel, y=fresh), replace(s, delay=d), rough=True) for d in delays]
         f = min(fits, key=lambda g: g.deviance)
         form = f.structure.adding(Part(REFRESHED, s.inputs[0]))
         p, scales = np.concatenate((f.p, shape)), np.concatenate((f.scales, [shape[0] ** 2 / n, shape[0]]))

@@ -162,6 +162,12 @@ def filter_bed(u, a):
     return linear(_until_full(u, 0.0, 120.0, 5.0, lambda v: v + 3.0) if a else u)
 
 
+def analysed(u, a):
+    """An analyser that takes a sample every seven, and reports it four samples late."""
+    taken = 7 * np.floor((np.arange(len(u)) - 7) / 7) + 3
+    return linear(u)[np.maximum(taken, 0).astype(int)] if a else linear(u)
+
+
 def gap(u, a):
     """A capacity between plates: the reciprocal of what is left of a gap."""
     return 3.0 / (3.5 - a * sensor(u, u[0], 0.6)) if a else linear(u)
@@ -207,7 +213,7 @@ PASSAGES = {
     "exposure": (heated_tube, 2, _FLOW), "exposure_carried": (hot_stream, 2, _FLOW | {"inputs": 2}), "exposure_walled": (steam, 2, _FLOW | {"inputs": 2}),
     "power_limited": (tram, 3, {"hold": 25}), "gain_worn of a coil": (coil, 2, {"mean": 4.0}), "input_bit": (coded, 2, {}),
     "capacity_level": (funnel, 3, {"mean": 4.0, "size": 1.5}), "output_hyperbola": (gap, 2, {}),
-    "loss_periodic": (aired, 2, {"mean": 4.0}),
+    "loss_periodic": (aired, 2, {"mean": 4.0}), "refreshed of an analyser": (analysed, 2, {}),
     "stiffness_worked": (rubber, 2, {}), "damping_worked": (damper, 2, {}),
     "acts_beyond": (ranged_apart, 2, {}), "exchange_fouled": (scaled, 2, {"mean": 4.0}),
     "event_replaces": (heat_pump, 2, {"mean": 4.0}), "event_adds": (filter_bed, 2, {"mean": 4.0}),

@@ -65,6 +65,9 @@ def _reports(channel: Any, base: Any, beaten: bool) -> Iterator[Any]:
     every, place = _beat(moved) if beaten else (0, 0)
     if beaten and not every:
         return
+    # a change that is reported between the fixed times alone shows a least step: without any, the sensor is read anew every so often
+    if beaten and not np.sum(moved & (np.arange(len(moved)) % every != place)) >= REPORTS:
+        return
     seen = np.concatenate(([False], moved))  # the first reading may be of any time before
     beat = [float(every), float((channel.clock.k[0] + place + 1) % every)] if beaten else []
     first = int(np.argmax(moved)) + 1
