@@ -1,5 +1,7 @@
 """Every input with every estimator that fits it: a number with a status, never an exception."""
 
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 
@@ -67,5 +69,8 @@ def test_an_iteration_that_the_budget_cut_short_does_not_void_the_own_estimates(
     )
     assert trace.usage.experiments == 17
     for name in ("gain", "mu"):
-        assert ESTIMATORS[name](trace, plant) == ESTIMATORS[name](trace.first(14), plant)
+        cut, whole = (asdict(ESTIMATORS[name](t, plant)) for t in (trace.first(14), trace))
+        np.testing.assert_equal(
+            whole, cut
+        )  # errors that are not known are equal too, which Python 3.13 has them not be
         assert 0.3 < ESTIMATORS[name](trace, plant).value / peak(plant).value < 1.2
