@@ -96,18 +96,6 @@ def unpaced(signal, rate, change):  # pragma: no cover - compiled
 
 
 @compiled
-def levelled(signal, share, power, rises, falls):  # pragma: no cover - compiled
-    """A signal over a power of 1 + share times its size of late, an average of other time constants as it rises and as it falls."""
-    out = np.empty_like(signal)
-    size, up, down = abs(signal[0]), 1.0 - np.exp(-1.0 / rises), 1.0 - np.exp(-1.0 / falls)
-    for k in range(signal.shape[0]):
-        out[k] = signal[k] * (1.0 + share * size) ** -power
-        more = abs(signal[k]) - size
-        size += (up if more > 0.0 else down) * more
-    return out
-
-
-@compiled
 def size_of_late(size, rises, falls):  # pragma: no cover - compiled
     """The average of late of a size that had settled on its first value, by other time constants as it rises and as it falls."""
     out = np.empty_like(size)
@@ -117,6 +105,12 @@ def size_of_late(size, rises, falls):  # pragma: no cover - compiled
         more = size[k] - late
         late += (up if more > 0.0 else down) * more
     return out
+
+
+@compiled
+def levelled(signal, share, power, rises, falls):  # pragma: no cover - compiled
+    """A signal over a power of 1 + share times its size of late, an average of other time constants as it rises and as it falls."""
+    return signal * (1.0 + share * size_of_late(np.abs(signal), rises, falls)) ** -power
 
 
 @compiled
