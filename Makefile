@@ -17,7 +17,8 @@
 
 PYTHON      ?= python3
 VENV        ?= .venv
-JOBS        ?= 2
+# As many as there are cores, and no more than four: each takes up to a gigabyte, and the longest tests set the end.
+JOBS        ?= $(shell n=$$(nproc 2>/dev/null || echo 2); [ $$n -gt 4 ] && echo 4 || echo $$n)
 FUZZ        ?= 100000
 PYTEST_ARGS ?=
 PEERS_ARGS  ?=
