@@ -5,7 +5,7 @@ What acts on one input leaves the others to the linear part, beside the process;
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import combinations, product
+from itertools import combinations, permutations, product
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,10 @@ LEAST = 1e-9  # of a weight, by which it is moved for a derivative where it is n
 DRAWS, DEMANDED = (0.2, 0.45, 1.0, 2.2, 5.0), (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 0.95)
 """Of the quotient of two inputs' mean sizes, what a unit of one draws from a common supply over a unit of the other, and the quantiles of
 what they ask for together at which the supply may end, that are tried."""
+SLOPES, CROSSED = (-1.0, -0.45, 0.2, 0.45, 1.0, 2.2), (0.08, 0.2, 0.35, 0.5, 0.65, 0.8, 0.92)
+"""Of the quotient of two inputs' deviations, the factors that one is set against the other by, and the quantiles of what is between them
+at which the other may take over, that are tried."""
+LEAST_SLOPE = 0.05  # of that quotient: below it the other input sets no limit, and a constant does
 REMADE, FURTHER = 2, (0, 1, 2)
 """Supplies that poles are made anew for, and poles that the linear part may have more than the linear model, in which what is held back
 hides them."""
@@ -112,8 +116,7 @@ def drawn(channel: int, p: Array) -> Array:
 
 
 def _supplied(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """Every two inputs or more of which one acts here, with the linear model's poles, then with poles made anew, or more of them."""
-    from estimators.diagnosis.model.linear import plant_scales
+    """Every two inputs or more of which one acts here."""
     from estimators.diagnosis.model.structure import Part
 
     s, nu = base.structure, channel.u.shape[1]
@@ -125,22 +128,29 @@ def _supplied(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]
             continue
         j = min(own)
         ratios = np.delete(np.where(np.isin(np.arange(nu), group), size[j] / size, 0.0), j)
-        part, shapes = Part(SHARED, j, nu - 1), _supplies(channel.u, j, ratios)
         steps = [float(np.std(np.abs(channel.u[:, j]))), *ratios]
-        tried = profile(channel, base, part, shapes)[:BEGUN]
-        fits: list[Any] = []
-        for more in FURTHER if s.order else ():
-            few, p, scales = of_order(base, s.order + more, s.taps + more)
-            anew = [
-                remade(channel, few.adding(part), np.append(p, q[len(base.p) :])) for _, q in tried[:REMADE]
-            ]
-            starts = [entry for entry in (*([] if more else tried), *anew) if np.isfinite(entry[0])]
-            if not starts or not firm(base, min(left for left, _ in starts)):
-                break
-            scales[: few.plant_size] = plant_scales(few, min(starts, key=lambda entry: entry[0])[1])
-            bare = replace(base, structure=few, p=p, scales=scales)
-            fits += ended(channel, bare, part, (q for _, q in starts), steps)
-        yield from lean(channel, sorted(fits, key=lambda f: f.criterion)[:1])
+        yield from _made(channel, base, Part(SHARED, j, nu - 1), _supplies(channel.u, j, ratios), steps)
+
+
+def _made(
+    channel: Any, base: Any, part: Any, shapes: Iterator[list[float]], steps: list[float]
+) -> Iterator[Any]:
+    """The best of what several inputs do by one of them, with the linear model's poles, then with poles made anew, or more of them."""
+    from estimators.diagnosis.model.linear import plant_scales
+
+    s = base.structure
+    tried = profile(channel, base, part, shapes)[:BEGUN]
+    fits: list[Any] = []
+    for more in FURTHER if s.order else ():
+        few, p, scales = of_order(base, s.order + more, s.taps + more)
+        anew = [remade(channel, few.adding(part), np.append(p, q[len(base.p) :])) for _, q in tried[:REMADE]]
+        starts = [entry for entry in (*([] if more else tried), *anew) if np.isfinite(entry[0])]
+        if not starts or not firm(base, min(left for left, _ in starts)):
+            break
+        scales[: few.plant_size] = plant_scales(few, min(starts, key=lambda entry: entry[0])[1])
+        bare = replace(base, structure=few, p=p, scales=scales)
+        fits += ended(channel, bare, part, (q for _, q in starts), steps)
+    yield from lean(channel, sorted(fits, key=lambda f: f.criterion)[:1])
 
 
 def _supplies(U: Array, j: int, ratios: Array) -> Iterator[list[float]]:
@@ -160,7 +170,48 @@ SHARED = Effect(
     shape=lambda size, order: [("limit", "u"), *(numbered({"draw": "1"}, size) if size > 1 else [("draw", "1")])],
 )  # fmt: skip
 
-SEVERAL = (SHARED, *(_fed(e) for e in PROCESS if e.key in FED and isinstance(e.apply, Passing)))
+
+def _selected(least: bool) -> Effect:
+    """The smaller (or larger) of an input and another one by a factor and an offset, in the first one's place."""
+    pick, name = (np.minimum, "smaller") if least else (np.maximum, "larger")
+
+    def signal(U: Array, channel: int, p: Array, clock: Clock) -> Array:
+        return pick(U[:, channel], p[1] * U[:, int(p[0]) - 1] + p[2])
+
+    def shapes(U: Array, j: int, k: int, slopes: Array) -> Iterator[list[float]]:
+        """Factors about those by which the two move alike, offsets at quantiles of what keeps them apart."""
+        for factor in slopes:
+            apart = U[:, j] - factor * U[:, k]
+            yield from ([k + 1.0, factor, float(offset)] for offset in np.quantile(apart, CROSSED))
+
+    def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+        """Every input that acts here with every other, be that heard here or not; of two that are, the first with the second says it all."""
+        from estimators.diagnosis.model.structure import Part
+
+        s, U = base.structure, channel.u
+        moving = np.flatnonzero(np.ptp(U, axis=0)).tolist()
+        if s.layout != "tf":
+            return
+        for j, k in permutations(moving, 2):
+            if j not in s.inputs or (k in s.inputs and k < j):
+                continue
+            ratio = np.std(U[:, j]) / np.std(U[:, k])
+            steps = [0.0, float(ratio), float(np.std(U[:, j]))]
+            tried = shapes(U, j, k, ratio * np.array(SLOPES))
+            made = _made(channel, base, Part(effect, j, 2), tried, steps)
+            yield from (f for f in made if abs(f.p[-2]) > LEAST_SLOPE * ratio)
+
+    effect = Effect(
+        key=f"select_{'low' if least else 'high'}", cause="selector", nature=Nature.INPUT_STATIC, slot=Slot.INPUT, trials=40, alone=True,
+        sentence=f"the {name} of two inputs acts, the other by a factor and an offset: a selector, an override, a limit that another signal sets",
+        parameters={"selected": "1", "factor": "1", "offset": "u"}, signal=signal, search=search,
+        apply=lambda x, p, clock: pick(x, p[2]),
+    )  # fmt: skip
+    return effect
+
+
+SELECTORS = tuple(_selected(least) for least in (True, False))
+SEVERAL = (SHARED, *SELECTORS, *(_fed(e) for e in PROCESS if e.key in FED and isinstance(e.apply, Passing)))
 
 
 LEAST_PRODUCT = 12.0

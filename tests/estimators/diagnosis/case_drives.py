@@ -320,6 +320,16 @@ def capped(u, a):
     return linear(np.minimum(u[:, 0], 2.2) if a else u[:, 0]) + 0.6 * linear(u[:, 1])
 
 
+def cross_limited(u, a):
+    """A boiler whose firing is the lesser of what is asked for and what its air allows."""
+    return linear(np.minimum(u[:, 0], 1.1 * u[:, 1] - 0.3) if a else u[:, 0])
+
+
+def overridden(u, a):
+    """A fan that the larger of two controllers runs, the second of which also opens a damper."""
+    return linear(np.maximum(u[:, 0], 0.8 * u[:, 1] + 0.2) if a else u[:, 0]) - 0.4 * linear(u[:, 1])
+
+
 DRIVES = {
     # effect: maker, order of the linear model, form of the input
     "reported_in_time": (in_time, 2, {}),
@@ -334,6 +344,7 @@ DRIVES = {
     "outflow_root_fed": (basin, 2, {"mean": 4.0, "inputs": 2}),
     "capacity_bump_fed": (melting, 2, {"mean": 4.0, "inputs": 2}),
     "shared_limit": (two_pumps, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}), "shared_limit of a neighbour": (its_neighbour, 2, {"inputs": 2}),
+    "select_low": (cross_limited, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}), "select_high": (overridden, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}),
     "saturation_upper of two": (capped, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}),
     "strut": (seat, 3, {"hold": 10}), "tyre_slip": (van, 3, {}), "loss_saturating": (patient, 2, {"mean": 3.0, "size": 1.3, "hold": 10}), "water_column": (turbine, 2, {"mean": 4.0, "size": 0.8}),
     "slipping": (slipping_belt, 2, {"hold": 10}),

@@ -98,6 +98,18 @@ def test_a_named_answer_settles_under_an_operating_level_as_the_simulation_does(
     _held(_model(named_answer(layout, effects, options | {"rest": False})), level=1.5)
 
 
+@pytest.mark.parametrize("key, q", [("select_low", [2.0, 0.8, 0.3]), ("select_high", [2.0, -0.5, 0.1])])
+@pytest.mark.parametrize("heard", [(0,), (0, 1)])
+def test_of_two_inputs_the_twin_selects_the_same(key, q, heard):
+    """Also of one that the output does not hear otherwise."""
+    p = [*POLES["tf"], 0.05, 0.2][: 2 + 2 * len(heard)]
+    s = Structure(2, heard).adding(Part(named(key), 0))
+    answer = replace(named_answer("tf", [], {}), structure=s, p=np.array([*p, *q]))
+    model = DiagnosedModel((answer,), np.full(1, 0.1), 0.5, ("u1", "u2"), ("y1",))
+    u = np.hstack((_input(), np.roll(_input(), 40)))
+    np.testing.assert_allclose(_twin(model, u, [0.0, 0.0]), model.simulate(u), rtol=1e-9, atol=1e-9)
+
+
 @pytest.mark.parametrize("heard", [(0,), (1,), (0, 1)])
 def test_inputs_that_share_a_supply_are_cut_back_in_the_twin_too(heard):
     """Also by an input that the output does not hear."""

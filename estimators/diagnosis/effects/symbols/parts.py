@@ -294,8 +294,10 @@ TIMED: Mapping[str, Callable[[Wiring, Any, Array, Any], Any]] = {
     "reported_in_time": _beaten,
     "multiplexed": _in_turn,
     **{key: _in_own_time(key) for key in SWITCHING},
+    "select_low": lambda w, x, p, k: w.ca.fmin(x, p[1] * w.u[int(p[0]) - 1] + p[2]),
+    "select_high": lambda w, x, p, k: w.ca.fmax(x, p[1] * w.u[int(p[0]) - 1] + p[2]),
 }
-"""Of those that know the time, too."""
+"""Of those that know the time, too, or another input."""
 
 
 def _process(w: Wiring, x: Any, p: Array, passing: Passing) -> Any:
@@ -333,13 +335,12 @@ def acted(w: Wiring, part: Any, x: Any, p: Array, k: Any, length: int) -> Any:
     x, q, effect = blocked(w, part, x, p), p[part.own :], part.effect
     if effect.apply is None:
         return x
+    if (known := effect in _known()) and effect.key in TIMED:
+        return TIMED[effect.key](w, x, q, k)
     if effect.signal is not None:  # it reads another input
         w.refuse(f"the effect {effect.key!r} ({effect.sentence}) has no CasADi twin", REMEDY)
     if isinstance(effect.apply, Passing):
         return _process(w, x, q, effect.apply)
-    known = effect in _known()
-    if known and effect.key in TIMED:
-        return TIMED[effect.key](w, x, q, k)
     return TWINS[effect.key](w, x, q) if known else _map(w, effect, x, q, k, length)
 
 
