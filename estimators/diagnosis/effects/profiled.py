@@ -225,7 +225,7 @@ def entering(channel: Any, base: Any) -> Iterator[tuple[int, Array]]:
     yield from () if U is None else zip(s.inputs, U.T, strict=True)
 
 
-def _highest(gains: Array, count: int) -> Array:
+def highest(gains: Array, count: int) -> Array:
     """Where a curve has its highest peaks."""
     at = find_peaks(np.concatenate(([-1.0], gains, [-1.0])))[0] - 1
     return at[np.argsort(-gains[at])[:count]]
@@ -243,7 +243,7 @@ def rotating(channel: Any, base: Any, x: Array, passed: Callable[[Array], Array]
     common = 2.0 * np.abs(np.fft.rfft(x * back, pad)) ** 2 / np.maximum(power, 1e-9 * power.max())
     common[: int(np.ceil(LEAST_TURNS * pad / n))] = 0.0
     found, least = [], FIRM
-    for w in 2.0 * np.pi * _highest(common, 3) / pad:
+    for w in 2.0 * np.pi * highest(common, 3) / pad:
         D = passed(x[:, None] * np.stack((np.cos(w * k), np.sin(w * k)), axis=1))
         D -= Q @ (Q.T @ D)
         c = np.linalg.lstsq(D, r, rcond=None)[0]
@@ -328,7 +328,7 @@ def _edged(effect: Callable[[], Effect], each: float, ahead: float) -> Callable[
             D = through(base, j, np.concatenate((np.sin(turn), np.cos(turn)), axis=1))
             gains, (first, second) = in_common(D - Q @ (Q.T @ D), r)
             found: list[tuple[float, Any]] = []
-            for at in _highest(gains / waves**COARSE, 3):
+            for at in highest(gains / waves**COARSE, 3):
                 period, size = 1.0 / float(waves[at]), float(np.hypot(first[at], second[at]))
                 promise = -base.n * float(np.log(max(1.0 - gains[at] / max(float(r @ r), 1e-300), 1e-12)))
                 if promise < FIRM or not HARMONIC[0] < size * np.pi / period < HARMONIC[1]:

@@ -330,6 +330,12 @@ def overridden(u, a):
     return linear(np.maximum(u[:, 0], 0.8 * u[:, 1] + 0.2) if a else u[:, 0]) - 0.4 * linear(u[:, 1])
 
 
+def screwed(u, a):
+    """A table whose scale is wrong by a screw's pitch, over and over."""
+    x = linear(u)
+    return x + a * (0.13 * np.sin(4.0 * x) + 0.06 * np.cos(4.0 * x))
+
+
 DRIVES = {
     # effect: maker, order of the linear model, form of the input
     "reported_in_time": (in_time, 2, {}),
@@ -344,6 +350,7 @@ DRIVES = {
     "outflow_root_fed": (basin, 2, {"mean": 4.0, "inputs": 2}),
     "capacity_bump_fed": (melting, 2, {"mean": 4.0, "inputs": 2}),
     "shared_limit": (two_pumps, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}), "shared_limit of a neighbour": (its_neighbour, 2, {"inputs": 2}),
+    "output_ripple": (screwed, 2, {"hold": 10}),
     "select_low": (cross_limited, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}), "select_high": (overridden, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}),
     "saturation_upper of two": (capped, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}),
     "strut": (seat, 3, {"hold": 10}), "tyre_slip": (van, 3, {}), "loss_saturating": (patient, 2, {"mean": 3.0, "size": 1.3, "hold": 10}), "water_column": (turbine, 2, {"mean": 4.0, "size": 0.8}),

@@ -1,15 +1,18 @@
-"""Curves of sensors that bend one way all along: the logarithm and what goes with a reciprocal.
+"""Curves of sensors: those that bend one way all along, the logarithm and what goes with a reciprocal; and an error that repeats.
 
-A constant before one of them is one of it with another parameter, behind another gain and before another constant.
+A constant before one of the first is one of it with another parameter, behind another gain and before another constant.
 """
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
-from estimators.diagnosis.effects.effect import Clock, Grid, Sizes
+from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot
 from estimators.diagnosis.effects.output import sensor
+from estimators.diagnosis.effects.profiled import highest, in_common, left_over
 
 Array = NDArray[Any]
 NEAREST = 0.02
@@ -44,7 +47,50 @@ def _poles(s: Sizes) -> Grid:
     return grid, [abs(_scale(s))]
 
 
+FEWEST, MOST, TURN = 1.5, 100.0, 0.1
+"""Periods that what is read passes over, as less than one and a half bend no more often than other curves do, and the step between two
+numbers of them that are tried: a tenth turns the ends by 18 degrees each against the middle."""
+RIPPLES = 3  # of them, fitted
+
+
+def _rippled(x: Any, p: Array) -> Any:
+    """What a sensor reads whose error repeats over its scale: period, size of the sine and of the cosine, where they begin."""
+    angle = 2.0 * np.pi * (x - p[3]) / p[0]
+    return x + p[1] * np.sin(angle) + p[2] * np.cos(angle)
+
+
+def _ripples(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """The sines of what the linear model simulates that explain most of what it leaves."""
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.structure import Part
+
+    seen = channel.y - base.residual
+    low, high = np.quantile(seen[channel.keep], (0.01, 0.99))
+    if not high > low:
+        return
+    centre, turns = 0.5 * (low + high), np.arange(FEWEST, MOST, TURN)
+    angle = 2.0 * np.pi * np.outer(seen - centre, turns / (high - low))
+    D = np.where(channel.keep[:, None], np.hstack((np.sin(angle), np.cos(angle))), 0.0)
+    D = np.asarray(lfilter(np.concatenate(([1.0], base.noise)), [1.0], D, axis=0))
+    r, Q = left_over(channel, base)
+    gains, sizes = in_common(D - Q @ (Q.T @ D), r)
+    spread = float(np.std(seen))
+    for i in highest(gains, RIPPLES):
+        p = np.concatenate((base.p, [(high - low) / turns[i], *sizes[:, i], centre]))
+        scales = np.concatenate((base.scales, [0.1 * p[-4] / turns[i], spread, spread, 0.0]))
+        f = fit(channel, base.structure.adding(Part(RIPPLE)), p, scales, noise=base.noise, iterations=30)
+        if abs(f.p[-4]) * FEWEST < high - low:
+            yield f
+
+
+RIPPLE = Effect(
+    key="output_ripple", cause="output_nonlinearity", nature=Nature.OUTPUT_STATIC, slot=Slot.OUTPUT, trials=400,
+    sentence="the sensor's error repeats over its scale: a screw's pitch, an encoder's lines, an eccentric wheel",
+    parameters={"period": "y", "sine": "y", "cosine": "y", "centre": "y"}, apply=lambda x, p, clock: _rippled(x, p),
+    curve=_rippled, search=_ripples,
+)  # fmt: skip
 CURVES = (
+    RIPPLE,
     sensor("output_logarithm", "the sensor reads the logarithm of what it sees, log(1 + c y)/c", {"c": "1/y"}, 4, apply=_logarithm,
            starts=_bends),
     sensor("output_ratio", "the sensor saturates as a ratio: y/(1 + c |y|)", {"c": "1/y"}, 4,
