@@ -22,10 +22,11 @@ from estimators.diagnosis.effects.input.acting import (
 )
 from estimators.diagnosis.effects.input.acting import INPUT as _INPUT
 from estimators.diagnosis.effects.input.phase_angle import PHASE_ANGLE
+from estimators.diagnosis.effects.input.polynomial import POLYNOMIAL
 
 __all__ = [
     "AWAY", "DELAY", "INPUT", "LEAST", "LINES", "PHASE_ANGLE", "SANDWICH", "after", "any_linear", "aside", "banked", "broken_line", "dead_zone",
     "exponential", "kept", "moved", "odd", "quantiles", "told_beside", "zones",
 ]  # fmt: skip
 
-INPUT = (*_INPUT, *PHASE_ANGLE)
+INPUT = (*_INPUT, POLYNOMIAL, *PHASE_ANGLE)
