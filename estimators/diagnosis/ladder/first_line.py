@@ -17,6 +17,7 @@ UNKNOWN = "unknown"
 NAMELESS = "an effect without a name"
 MOST = 4
 """Parameters in the headline: a curve of many corners is given below it."""
+INSIDE = "it is borne out only where the test record stays in the range of the training data"
 UNJUDGED = "the test record asks for more than the training data cover, and does not bear it"
 COEFFICIENT = re.compile(r"[bfx]\d+")
 """Coefficients and states of a linear block say nothing in a headline."""
@@ -46,10 +47,10 @@ def headline(
     return f"{name}: {top.sentence}"
 
 
-def doubts(rivals: Sequence[str], unjudged: bool) -> list[str]:
+def doubts(rivals: Sequence[str], unjudged: bool, within: bool = False) -> list[str]:
     """Why the first cause may be another: the record cannot tell it from its rivals, or no data unlike the training data bear it."""
     words = [f"it may as well be {' or '.join(rivals).replace('_', ' ')}"] if rivals else []
-    return [*words, UNJUDGED] if unjudged else words
+    return [*words, *([UNJUDGED] if unjudged else []), *([INSIDE] if within else [])]
 
 
 def _instead(claimed: Sequence[Outcome], key: str, effects: dict[str, Effect]) -> str:

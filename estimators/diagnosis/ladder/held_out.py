@@ -47,6 +47,7 @@ class HeldOut:
     untried: bool = False  # whether the record asks for a curve where nothing is known of it, so that it says nothing of a claim
     lost: bool = False  # whether the record's own mean is nearer to it than the free run of what is claimed
     by_chance: bool = False  # whether it alone chose the answer, by no more than errors as slow may have in common by chance
+    within: bool = False  # whether only its samples in the range of the training data bear what is claimed
 
     @property
     def bears(self) -> bool:
@@ -97,6 +98,12 @@ AFTER_ALL = (
 REFUSED = (
     "the {} model is worse on the test record than the linear model ({:.4g} against {:.4g}): the answer is the linear model, and this "
     "one thing the test record chose"
+)
+
+
+WITHIN = (
+    "what is claimed is borne out in the {:.3g} % of the test record's samples that stay in the range of the training data, where the "
+    "error falls from {:.4g} to {:.4g}; over the whole of it that is not sure"
 )
 
 
@@ -280,16 +287,18 @@ def assess(
     )
     worse, level = _worse_than_constant(y, weight, figures, policy), (floor, len(train))
     lost = ANSWER in _worse_than_constant(y, weight, (figures[0], root_figure(third, third)), policy)
-    borne = _borne(least, third, level, policy)
+    borne, within = _borne(least, third, level, policy), False
     if test is not None and not refused and not borne.low > 0.0:  # a claim is of what the training data cover
         use = inside([train], test)[rows]
         borne = _borne(least[use], third[use], level, policy)
+        if within := borne.low > 0.0:
+            warnings.append(WITHIN.format(100.0 * use.mean(), root(least[use]), root(third[use])))
     return HeldOut(
         before, after, figures[0], figures[1], root_figure(one, other), root_figure(other, other),
         difference_figure(first, second), removed(first, second, level, policy),
         tuple(_rungs(ladders, runs, lambda run: root_figure(errors(run), second), answers)), tuple(steps),
         (*warnings, *worse.values()),
-        borne, untried, lost, by_chance,
+        borne, untried, lost, by_chance, within,
     )  # fmt: skip
 
 

@@ -106,7 +106,7 @@ def verdict(
         else UNCLAIMED
     )
     rivals = _confusable(outcomes, chosen)
-    unsure = doubts(rivals, held.untried and not held.difference.low > 0.0)
+    unsure = doubts(rivals, held.untried and not held.difference.low > 0.0, held.within)
     return {
         "detected": bool(found), "effect": chosen[0] if chosen else NONE,
         "variant": ", ".join(dict.fromkeys((*(_meanings(outcomes) if first else []), *(f.key for f in found if f.key)))),
