@@ -7,7 +7,7 @@ the linear model without samples that are faults, and the discovery beside a mod
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from estimators.diagnosis.baseline import Baseline, Options, best_linear
 from estimators.diagnosis.baseline.disturbances import set_aside
 from estimators.diagnosis.baseline.search import LONG
 from estimators.diagnosis.effects import Effect
+from estimators.diagnosis.ladder.anew import begun_anew
 from estimators.diagnosis.ladder.asked import begun, outside
 from estimators.diagnosis.ladder.claims import ANYTHING, NOTHING_NEW, TOO_SLOW, Named
 from estimators.diagnosis.ladder.held_out import HeldOut, assess, onward
@@ -325,8 +326,9 @@ def _held_out(train: Record, test: Record | None, outcomes: list[Outcome], setti
     if test is not None:
         counts[: setting.skip] = False
     floor = float(np.sqrt(np.mean([_floor(o, train) ** 2 for o in outcomes])))
-    return assess(train, test, [o.ladder for o in outcomes], skip=setting.skip if test is not None else 0, floor=floor,
-                  counts=counts, held=held, policy=setting.policy)  # fmt: skip
+    skip, ladders = setting.skip if test is not None else 0, [o.ladder for o in outcomes]
+    on = partial(assess, skip=skip, floor=floor, counts=counts, held=held, policy=setting.policy)
+    return begun_anew(lambda record: on(train, record, ladders), train, test, ladders)
 
 
 def _judged(test: Record, i: int, setting: Setting) -> NDArray[np.bool_]:
