@@ -14,7 +14,7 @@ from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.linear import fit_linear, fresh_poles, layout_starts, relinearised
 from estimators.diagnosis.model.structure import Part, Structure, stable_polynomial
 from estimators.diagnosis.record.measurement import switched
-from estimators.diagnosis.search.starts import DRIFTS, Start, fitted, followed, renewed, scored
+from estimators.diagnosis.search.starts import DRIFTING, DRIFTS, Start, fitted, followed, renewed, scored
 from estimators.diagnosis.share.signals import late
 from estimators.residual.algebra import least_squares
 
@@ -31,6 +31,7 @@ UNDERSTATED = (
 NEAR = 0.5  # of the best gain at the input, for an effect to be tried with other poles
 LAGGED = 4  # effects at the input that are tried behind a lag
 RENEWALS = 3  # rounds of fresh poles for the best effect at the input
+ON = 25  # further steps of the kin of what did best
 QUICK = 5  # Gauss-Newton steps by which starts inside a plant are told apart
 FORMS = 2  # layouts that are tried with several inputs, which cost a column of parameters each; the inside is looked at first
 PLAIN, LATER, CHANCE = 2, (0, 1, 2, 3, 5, 8, 13), 1e-3
@@ -97,14 +98,37 @@ def augmented(
         _scanned(channel, base, [e for e in wanted if e.search is None], best, iterations, top, needed)
     )
     yield from fits
-    if needed <= 0.0 and not (fits and not base.structure.effects and explained(channel, base, fits)):
-        steady = _steady(channel, base) if any(e.family == DRIFTS for e in wanted) else None
-        for e in wanted:
-            if fits and not base.structure.effects:
-                yield from _led(channel, base, e, iterations)
-            yield from _own(channel, base, e, menu)
-            if steady is not None and e.family == DRIFTS:
-                yield from _own(channel, steady, e, menu)
+    if needed > 0.0 or (fits and not base.structure.effects and explained(channel, base, fits)):
+        return
+    further: list[Fit] = []
+    steady = _steady(channel, base) if any(e.family == DRIFTS for e in wanted) else None
+    for e in wanted:
+        if fits and not base.structure.effects:
+            further += _led(channel, base, e, iterations)
+        further += _own(channel, base, e, menu)
+        if steady is not None and e.family == DRIFTS:
+            further += _own(channel, steady, e, menu)
+    yield from further
+    if top and fits and not base.structure.effects:
+        yield from _kin(channel, base, wanted, [*fits, *further], iterations)
+
+
+def _kin(
+    channel: Channel, base: Fit, wanted: list[Effect], fits: list[Fit], iterations: int
+) -> Iterator[Fit]:
+    """Where nothing explains the record yet, fits with the other effects of the nature of the one that did best: a linear model that is far
+    off says little by its scores, but what stands in for a cause is of its kind."""
+    near = min(fits, key=lambda f: f.criterion)
+    of = lambda f: f.structure.parts[-1].effect
+    kin = lambda e: e.nature is of(near).nature or {e.family, of(near).family} <= set(DRIFTING)
+    if explained(channel, base, [near]):
+        return
+    for f in fits:
+        if f is not near and f.structure.layout == "tf" and of(f).search is None and kin(of(f)):
+            yield fit(channel, f.structure, f.p, f.scales, noise=f.noise, iterations=ON)
+    known = {of(f) for f in fits}
+    rest = [e for e in wanted if e.search is None and e not in known and kin(e)]
+    yield from _scanned(channel, base, rest, 2, iterations, 0, 0.0)
 
 
 def _scanned(
@@ -313,7 +337,6 @@ def _scan(channel: Channel, base: Fit, model: Fit, part: Part, best: int) -> lis
     found = scored(channel, model, part, best)
     if not np.isfinite(found.promise):
         return []
-
     return [_Task(part.effect, found.promise + base.deviance - model.deviance, lambda: found.starts)]
 
 
