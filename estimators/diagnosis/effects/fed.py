@@ -37,6 +37,10 @@ what they ask for together at which the supply may end, that are tried."""
 SLOPES, CROSSED = (-1.0, -0.45, 0.2, 0.45, 1.0, 2.2), (0.08, 0.2, 0.35, 0.5, 0.65, 0.8, 0.92)
 """Of the quotient of two inputs' deviations, the factors that one is set against the other by, and the quantiles of what is between them
 at which the other may take over, that are tried."""
+WEIGHTS = (0.05, 0.2, 0.5, 1.0, 2.0, 5.0, 20.0)
+"""Of the quotient of two inputs' means, the weights of the other in a share that are tried: at the first and the last of them the share is
+nearly linear in a ratio of the two, one way up or the other."""
+LEAST_SUM = 0.01  # of its mean, what two streams may add up to: their shares would be those of nearly none
 LEAST_SLOPE = 0.05  # of that quotient: below it the other input sets no limit, and a constant does
 REMADE, FURTHER = 2, (0, 1, 2)
 """Supplies that poles are made anew for, and poles that the linear part may have more than the linear model, in which what is held back
@@ -210,8 +214,45 @@ def _selected(least: bool) -> Effect:
     return effect
 
 
+def _shares(U: Array, channel: int, p: Array, clock: Clock) -> Array:
+    """What share one input has of itself and another one by a weight; infinite where the two do not keep to one side of nothing."""
+    one, other = U[:, channel], p[1] * U[:, int(p[0]) - 1]
+    whole = one + other
+    mean = float(np.mean(whole))
+    if p[1] <= 0.0 or np.min(whole * mean) <= LEAST_SUM * mean**2:
+        return np.full(len(U), np.inf)
+    return one / whole
+
+
+def _shared_out(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """Every two inputs that flow one way, of which one acts here; of two that act, the first's share says it all: the second's is the rest."""
+    from estimators.diagnosis.model.structure import Part
+
+    s, U = base.structure, channel.u
+    if s.layout != "tf":
+        return
+    one_way = np.flatnonzero((np.ptp(U, axis=0) > 0.0) & (np.min(U, axis=0) * np.max(U, axis=0) >= 0.0))
+    for j, k in permutations(one_way.tolist(), 2):
+        ratio = float(np.mean(U[:, j]) / np.mean(U[:, k]))
+        if j not in s.inputs or (k in s.inputs and k < j) or ratio < 0.0:
+            continue
+        tried = ([k + 1.0, ratio * weight] for weight in WEIGHTS)
+        yield from _made(channel, base, Part(SHARE, j, 2), tried, [0.0, ratio])
+
+
+SHARE = Effect(
+    key="share", cause="mixing_ratio", nature=Nature.INPUT_STATIC, slot=Slot.INPUT, trials=len(WEIGHTS), alone=True,
+    sentence="the share acts that one of two inputs has of both: streams that mix, a blend, a dilution, a ratio of air and fuel",
+    parameters={"other": "1", "weight": "1"}, signal=_shares, search=_shared_out,
+    apply=lambda x, p, clock: x / (np.abs(x) + abs(p[1]) + NOTHING),
+)  # fmt: skip
 SELECTORS = tuple(_selected(least) for least in (True, False))
-SEVERAL = (SHARED, *SELECTORS, *(_fed(e) for e in PROCESS if e.key in FED and isinstance(e.apply, Passing)))
+SEVERAL = (
+    SHARED,
+    SHARE,
+    *SELECTORS,
+    *(_fed(e) for e in PROCESS if e.key in FED and isinstance(e.apply, Passing)),
+)
 
 
 LEAST_PRODUCT = 12.0
