@@ -37,6 +37,7 @@ what they ask for together at which the supply may end, that are tried."""
 SLOPES, CROSSED = (-1.0, -0.45, 0.2, 0.45, 1.0, 2.2), (0.08, 0.2, 0.35, 0.5, 0.65, 0.8, 0.92)
 """Of the quotient of two inputs' deviations, the factors that one is set against the other by, and the quantiles of what is between them
 at which the other may take over, that are tried."""
+SUFFICED = 0.05  # of a record, which a supply must be enough for: one that never is divides itself by what is asked for, whatever it is
 WEIGHTS = (0.05, 0.2, 0.5, 1.0, 2.0, 5.0, 20.0)
 """Of the quotient of two inputs' means, the weights of the other in a share that are tried: at the first and the last of them the share is
 nearly linear in a ratio of the two, one way up or the other."""
@@ -133,7 +134,9 @@ def _supplied(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]
         j = min(own)
         ratios = np.delete(np.where(np.isin(np.arange(nu), group), size[j] / size, 0.0), j)
         steps = [float(np.std(np.abs(channel.u[:, j]))), *ratios]
-        yield from _made(channel, base, Part(SHARED, j, nu - 1), _supplies(channel.u, j, ratios), steps)
+        made = _made(channel, base, Part(SHARED, j, nu - 1), _supplies(channel.u, j, ratios), steps)
+        asked = lambda f, j=j: np.abs(channel.u) @ drawn(j, f.p[-nu:])
+        yield from (f for f in made if np.mean(asked(f) < abs(f.p[-nu])) > SUFFICED)
 
 
 def _made(
