@@ -4,15 +4,19 @@ A constant before one of the first is one of it with another parameter, behind a
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot
-from estimators.diagnosis.effects.output import sensor
-from estimators.diagnosis.effects.profiled import highest, in_common, left_over
+from estimators.diagnosis.effects.input import odd
+from estimators.diagnosis.effects.output import KEPT, quickly_made, sensor
+from estimators.diagnosis.effects.profiled import firm, highest, in_common, left_over
 
 Array = NDArray[Any]
 NEAREST = 0.02
@@ -89,8 +93,71 @@ RIPPLE = Effect(
     parameters={"period": "y", "sine": "y", "cosine": "y", "centre": "y"}, apply=lambda x, p, clock: _rippled(x, p),
     curve=_rippled, search=_ripples,
 )  # fmt: skip
+
+BENT, MIDDLES = (0.7, 1.3, 2.5, 4.5, 8.0), (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Of a titration curve, its sharpness times half of what is read, and where in that its steep middle lies, that are tried: the slopes in the
+middle are 1.3 to 1500 times those at the ends."""
+SETTLED, TITRATED = (
+    8,
+    3,
+)  # Gauss-Newton steps by which a linear part finds itself behind each of them; those that are fitted
+
+
+def _titrations(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """Curves undone, a linear part made for what the sensor saw and settled behind each; the best are fitted with the curve.
+
+    The linear model says little of either: most of what it was fitted to lies in the steep middle or beyond it.
+    """
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.linear import plant_scales, relinearised
+    from estimators.diagnosis.model.structure import Part
+
+    s, found = base.structure, []
+    at = next((sl.start for part, sl in zip(s.parts, s.slices(), strict=True) if part.effect is OFFSET), None)
+    if s.layout != "tf" or s.effects or at is None or np.mean(channel.keep) < KEPT:
+        return
+    part = Part(TITRATION)
+    new, (low, high) = s.adding(part), np.quantile(channel.y[channel.keep], (0.002, 0.998))
+    if not high > low:
+        return
+    for bent, share in product(BENT, MIDDLES):
+        c, middle = 2.0 * bent / (high - low), low + share * (high - low)
+        seen = np.sinh(c * (np.clip(channel.y, low, high) - middle)) / c
+        there = replace(channel, y=seen)
+        for p in (quickly_made(there, s), relinearised(there, s, base.p)):
+            if p is None:
+                continue
+            centre = -p[at]
+            scales = np.concatenate((base.scales, [0.0, 0.0]))
+            scales[: s.plant_size] = plant_scales(s, p)
+            p[at] = middle - np.arcsinh(c * centre) / c
+            f = fit(
+                channel,
+                new,
+                np.concatenate((p, [c, centre])),
+                scales,
+                noise=base.noise,
+                iterations=SETTLED,
+                colour=False,
+            )
+            if np.isfinite(f.deviance):
+                found.append((float(np.sum(f.residual**2)), f.p, float(np.std(seen))))
+    found.sort(key=lambda entry: entry[0])
+    if not found or not firm(base, found[0][0]):
+        return
+    for _, p, spread in found[:TITRATED]:
+        scales = np.concatenate((base.scales, [abs(p[-2]), spread]))
+        scales[: s.plant_size] = plant_scales(s, p)
+        yield fit(channel, new, p, scales, noise=base.noise, iterations=40)
+
+
+TITRATION = sensor(
+    "output_arsinh", "the sensor is steep in the middle and reads a logarithm on either side, asinh(c (y - centre))/c: a titration curve",
+    {"c": "1/y", "centre": "y"}, 20, apply=odd(np.arcsinh), search=_titrations,
+)  # fmt: skip
 CURVES = (
     RIPPLE,
+    TITRATION,
     sensor("output_logarithm", "the sensor reads the logarithm of what it sees, log(1 + c y)/c", {"c": "1/y"}, 4, apply=_logarithm,
            starts=_bends),
     sensor("output_ratio", "the sensor saturates as a ratio: y/(1 + c |y|)", {"c": "1/y"}, 4,
