@@ -16,7 +16,7 @@ from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot
 from estimators.diagnosis.effects.input import odd
 from estimators.diagnosis.effects.output import KEPT, quickly_made, sensor
-from estimators.diagnosis.effects.profiled import firm, highest, in_common, left_over
+from estimators.diagnosis.effects.profiled import firm, highest, in_common, left_over, of_order
 
 Array = NDArray[Any]
 NEAREST = 0.02
@@ -94,61 +94,84 @@ RIPPLE = Effect(
     curve=_rippled, search=_ripples,
 )  # fmt: skip
 
+ENDS = (
+    0.002,
+    0.998,
+)  # quantiles between which what is read counts: an outlier's sine hyperbolic would be all that a fit sees
 BENT, MIDDLES = (0.7, 1.3, 2.5, 4.5, 8.0), (0.0, 0.25, 0.5, 0.75, 1.0)
 """Of a titration curve, its sharpness times half of what is read, and where in that its steep middle lies, that are tried: the slopes in the
 middle are 1.3 to 1500 times those at the ends."""
-SETTLED, TITRATED = (
-    8,
-    3,
-)  # Gauss-Newton steps by which a linear part finds itself behind each of them; those that are fitted
+SETTLED, TITRATED, NEAREST_SHAPES = 8, 3, 6
+"""Gauss-Newton steps by which a linear part finds itself behind each of them; those that are fitted, and that are tried with more poles."""
+MORE = (0, 1, 2)
+"""Poles beyond the linear model's: in a loop that holds the reading near the steep middle, or beyond it, a curve hides some."""
 
 
-def _titrations(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """Curves undone, a linear part made for what the sensor saw and settled behind each; the best are fitted with the curve.
-
-    The linear model says little of either: most of what it was fitted to lies in the steep middle or beyond it.
-    """
+def _titrated(
+    channel: Any, base: Any, shapes: list[tuple[float, float]]
+) -> list[tuple[float, Array, tuple[float, float]]]:
+    """(sum of squares, parameters, shape) of each sharpness and middle, the best first: undone, a linear part is made for what the sensor
+    saw, and settles behind the curve, as beyond the middle most of what was undone is noise."""
     from estimators.diagnosis.model.fitting import fit
     from estimators.diagnosis.model.linear import plant_scales, relinearised
     from estimators.diagnosis.model.structure import Part
 
     s, found = base.structure, []
-    at = next((sl.start for part, sl in zip(s.parts, s.slices(), strict=True) if part.effect is OFFSET), None)
-    if s.layout != "tf" or s.effects or at is None or np.mean(channel.keep) < KEPT:
-        return
-    part = Part(TITRATION)
-    new, (low, high) = s.adding(part), np.quantile(channel.y[channel.keep], (0.002, 0.998))
-    if not high > low:
-        return
-    for bent, share in product(BENT, MIDDLES):
-        c, middle = 2.0 * bent / (high - low), low + share * (high - low)
-        seen = np.sinh(c * (np.clip(channel.y, low, high) - middle)) / c
-        there = replace(channel, y=seen)
+    at = next(sl.start for part, sl in zip(s.parts, s.slices(), strict=True) if part.effect is OFFSET)
+    new, (low, high) = s.adding(Part(TITRATION)), np.quantile(channel.y[channel.keep], ENDS)
+    for c, middle in shapes:
+        there = replace(channel, y=np.sinh(c * (np.clip(channel.y, low, high) - middle)) / c)
         for p in (quickly_made(there, s), relinearised(there, s, base.p)):
             if p is None:
                 continue
-            centre = -p[at]
-            scales = np.concatenate((base.scales, [0.0, 0.0]))
+            centre, scales = -p[at], np.concatenate((base.scales, [0.0, 0.0]))
             scales[: s.plant_size] = plant_scales(s, p)
             p[at] = middle - np.arcsinh(c * centre) / c
-            f = fit(
-                channel,
-                new,
-                np.concatenate((p, [c, centre])),
-                scales,
-                noise=base.noise,
-                iterations=SETTLED,
-                colour=False,
-            )
+            start = np.concatenate((p, [c, centre]))
+            f = fit(channel, new, start, scales, noise=base.noise, iterations=SETTLED, colour=False)
             if np.isfinite(f.deviance):
-                found.append((float(np.sum(f.residual**2)), f.p, float(np.std(seen))))
-    found.sort(key=lambda entry: entry[0])
-    if not found or not firm(base, found[0][0]):
+                found.append((float(np.sum(f.residual**2)), f.p, (c, middle)))
+    return sorted(found, key=lambda entry: entry[0])
+
+
+def _titrations(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """Curves of any sharpness and middle, behind the linear model's poles and behind more of them for as long as these pay."""
+    from estimators.diagnosis.model.fitting import fit
+    from estimators.diagnosis.model.linear import plant_scales
+    from estimators.diagnosis.model.structure import Part
+
+    s, least = base.structure, np.inf
+    low, high = np.quantile(channel.y[channel.keep], ENDS)
+    levelled = any(part.effect is OFFSET for part in s.parts)
+    if (
+        s.layout != "tf"
+        or s.effects
+        or s.order < 1
+        or not levelled
+        or np.mean(channel.keep) < KEPT
+        or not high > low
+    ):
         return
-    for _, p, spread in found[:TITRATED]:
-        scales = np.concatenate((base.scales, [abs(p[-2]), spread]))
-        scales[: s.plant_size] = plant_scales(s, p)
-        yield fit(channel, new, p, scales, noise=base.noise, iterations=40)
+    shapes = [
+        (2.0 * bent / (high - low), low + share * (high - low)) for bent, share in product(BENT, MIDDLES)
+    ]
+    for more in MORE:
+        few, p, scales = of_order(base, s.order + more, s.taps + more)
+        tried = _titrated(
+            channel, replace(base, structure=few, p=p if more else base.p, scales=scales), shapes
+        )
+        if not tried or not firm(base, tried[0][0]):
+            return
+        fits = []
+        for _, p, _ in tried[:TITRATED]:
+            sizes = np.concatenate((scales, [abs(p[-2]), abs(p[-1]) + 1.0 / abs(p[-2])]))
+            sizes[: few.plant_size] = plant_scales(few, p)
+            fits.append(fit(channel, few.adding(Part(TITRATION)), p, sizes, noise=base.noise, iterations=40))
+        yield from fits
+        best = min(f.criterion for f in fits)
+        if not best < least:
+            return
+        least, shapes = best, list(dict.fromkeys(shape for _, _, shape in tried))[:NEAREST_SHAPES]
 
 
 TITRATION = sensor(
