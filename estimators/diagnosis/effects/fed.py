@@ -38,9 +38,9 @@ SLOPES, CROSSED = (-1.0, -0.45, 0.2, 0.45, 1.0, 2.2), (0.08, 0.2, 0.35, 0.5, 0.6
 """Of the quotient of two inputs' deviations, the factors that one is set against the other by, and the quantiles of what is between them
 at which the other may take over, that are tried."""
 SUFFICED = 0.05  # of a record, which a supply must be enough for: one that never is divides itself by what is asked for, whatever it is
-WEIGHTS = (0.05, 0.2, 0.5, 1.0, 2.0, 5.0, 20.0)
-"""Of the quotient of two inputs' means, the weights of the other in a share that are tried: at the first and the last of them the share is
-nearly linear in a ratio of the two, one way up or the other."""
+WEIGHTS = (0.001, 0.05, 0.2, 0.5, 1.0, 2.0, 5.0, 20.0, 1000.0)
+"""Of the quotient of two inputs' means, the weights of the other in a share that are tried: at the first and the last the share is linear
+in a ratio of the two, one way up or the other, to a thousandth, and no fit comes there from a weight at which both count."""
 LEAST_SUM = 0.01  # of its mean, what two streams may add up to: their shares would be those of nearly none
 LEAST_SLOPE = 0.05  # of that quotient: below it the other input sets no limit, and a constant does
 REMADE, FURTHER = 2, (0, 1, 2)
@@ -228,19 +228,22 @@ def _shares(U: Array, channel: int, p: Array, clock: Clock) -> Array:
 
 
 def _shared_out(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """Every two inputs that flow one way, of which one acts here; of two that act, the first's share says it all: the second's is the rest."""
+    """Every two inputs that flow one way, of which one acts here: its share, and that of the other, which leaves what the first does besides."""
     from estimators.diagnosis.model.structure import Part
 
     s, U = base.structure, channel.u
     if s.layout != "tf":
         return
     one_way = np.flatnonzero((np.ptp(U, axis=0) > 0.0) & (np.min(U, axis=0) * np.max(U, axis=0) >= 0.0))
-    for j, k in permutations(one_way.tolist(), 2):
-        ratio = float(np.mean(U[:, j]) / np.mean(U[:, k]))
-        if j not in s.inputs or (k in s.inputs and k < j) or ratio < 0.0:
-            continue
-        tried = ([k + 1.0, ratio * weight] for weight in WEIGHTS)
-        yield from _made(channel, base, Part(SHARE, j, 2), tried, [0.0, ratio])
+    for pair in combinations(one_way.tolist(), 2):
+        fits: list[Any] = []
+        for j, k in permutations(pair):
+            ratio = float(np.mean(U[:, j]) / np.mean(U[:, k]))
+            if j in s.inputs and ratio > 0.0:
+                tried = ([k + 1.0, ratio * weight] for weight in WEIGHTS)
+                fits += _made(channel, base, Part(SHARE, j, 2), tried, [0.0, ratio])
+        # where the pair does nothing else the two are one, and the first input's share is said
+        yield from sorted(fits, key=lambda f: round(f.criterion))[:1]
 
 
 SHARE = Effect(
