@@ -15,7 +15,7 @@ PLAIN = {
     "log_damping": "factor of damping", "log_loss": "factor of loss", "per_angle": "radians per integral of the speed",
     "way": "travel that turns it over", "b": "numerator coefficient", "f": "denominator coefficient", "x": "starting state",
     "wear": "resistance per unit that has passed", "power": "power", "gain_worn.power": "power of the resistance that the gain falls with", "use": "use by the input", "change": "relative change", "start": "time of the start",
-    "end": "time of the end", "behind": "lag behind the actuator", "plant": "pole of its plant", "input_kink.c": "steepness c at zero",
+    "end": "time of the end", "behind": "lag behind the actuator", "plant": "pole of its plant", "input_kink.c": "steepness c at zero", "output_arsinh.c": "sharpness c", "output_arsinh.centre": "where it is steepest, before the curve",
     "output_absolute.c": "half the difference of the gains, c", "outflow_root.k": "outflow coefficient k", "vessel.k": "outflow coefficient k",
     "reported_on_change.start": "reading at the start, off the signal", "reported_in_time.start": "reading at the start, off the signal", "backlash_input.start": "place in the play at the start", "stiction.start": "place in the play at the start", "stiction_sliding.start": "place in the play at the start",
     "plays.start": "place in the plays at the start", "plays_output.start": "place in the plays at the start", "multiplexed.place": "place in the cycle", "multiplexed.lag": "time constant of the one whose turn it is", "multiplexed.later": "how much later it reads",

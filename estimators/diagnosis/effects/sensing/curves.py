@@ -103,8 +103,21 @@ BENT, MIDDLES = (0.7, 1.3, 2.5, 4.5, 8.0), (0.0, 0.25, 0.5, 0.75, 1.0)
 middle are 1.3 to 1500 times those at the ends."""
 SETTLED, TITRATED, NEAREST_SHAPES = 8, 3, 6
 """Gauss-Newton steps by which a linear part finds itself behind each of them; those that are fitted, and that are tried with more poles."""
-MORE = (0, 1, 2)
-"""Poles beyond the linear model's: in a loop that holds the reading near the steep middle, or beyond it, a curve hides some."""
+MORE = (-1, 0, 1, 2)
+"""Poles beyond the linear model's: one may have stood for the curve, and in a loop that holds the reading about one level a curve hides some."""
+
+
+LEAST_SIDE = 0.02  # of the readings on either side of its middle: on one side alone it is a logarithm, or what goes with a reciprocal
+
+
+def _two_sided(channel: Any, f: Any) -> bool:
+    """Whether what is read lies on both sides of the steep middle of a curve that was fitted."""
+    c, centre = f.p[-2:]
+    level = next(
+        f.p[sl] for q, sl in zip(f.structure.parts, f.structure.slices(), strict=True) if q.effect is OFFSET
+    )
+    below = np.mean(channel.y[channel.keep] < level[0] - np.arcsinh(c * centre) / (c or 1.0))
+    return bool(LEAST_SIDE < below < 1.0 - LEAST_SIDE)
 
 
 def _titrated(
@@ -121,9 +134,8 @@ def _titrated(
     new, (low, high) = s.adding(Part(TITRATION)), np.quantile(channel.y[channel.keep], ENDS)
     for c, middle in shapes:
         there = replace(channel, y=np.sinh(c * (np.clip(channel.y, low, high) - middle)) / c)
-        for p in (quickly_made(there, s), relinearised(there, s, base.p)):
-            if p is None:
-                continue
+        known = relinearised(there, s, base.p) if np.any(base.p[: s.order]) else None
+        for p in (p for p in (quickly_made(there, s), known) if p is not None):
             centre, scales = -p[at], np.concatenate((base.scales, [0.0, 0.0]))
             scales[: s.plant_size] = plant_scales(s, p)
             p[at] = middle - np.arcsinh(c * centre) / c
@@ -155,19 +167,21 @@ def _titrations(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[An
     shapes = [
         (2.0 * bent / (high - low), low + share * (high - low)) for bent, share in product(BENT, MIDDLES)
     ]
-    for more in MORE:
+    for more in (more for more in MORE if s.order + more > 0):
         few, p, scales = of_order(base, s.order + more, s.taps + more)
         tried = _titrated(
             channel, replace(base, structure=few, p=p if more else base.p, scales=scales), shapes
         )
         if not tried or not firm(base, tried[0][0]):
+            if more < 0:
+                continue
             return
         fits = []
         for _, p, _ in tried[:TITRATED]:
             sizes = np.concatenate((scales, [abs(p[-2]), abs(p[-1]) + 1.0 / abs(p[-2])]))
             sizes[: few.plant_size] = plant_scales(few, p)
             fits.append(fit(channel, few.adding(Part(TITRATION)), p, sizes, noise=base.noise, iterations=40))
-        yield from fits
+        yield from (f for f in fits if _two_sided(channel, f))
         best = min(f.criterion for f in fits)
         if not best < least:
             return
