@@ -1,4 +1,4 @@
-"""What several inputs do together: feed a process, as two inflows a vessel or a heater beside what is around it, draw on one supply, multiply.
+"""What several inputs do together: feed a process, as two inflows a vessel or a heater beside what is around it, draw on one supply, mix, multiply.
 
 What acts on one input leaves the others to the linear part, beside the process; these go through it, each by its weight.
 """

@@ -1,4 +1,4 @@
-"""Curves of sensors: those that bend one way all along, the logarithm and what goes with a reciprocal; and an error that repeats.
+"""Curves of sensors: those that bend one way all along, the logarithm and what goes with a reciprocal; a titration's; an error that repeats.
 
 A constant before one of the first is one of it with another parameter, behind another gain and before another constant.
 """
