@@ -353,7 +353,7 @@ def neutralised(u, a):
     excess = linear(u)
     if not a:
         return excess
-    left = 3.0 * (excess + 0.4)
+    left = 3.0 * (excess - 10.2)
     return 7.0 + np.log10(left + np.sqrt(left**2 + 1.0))
 
 
@@ -374,7 +374,7 @@ DRIVES = {
     "output_ripple": (screwed, 2, {"hold": 10}),
     "select_low": (cross_limited, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}), "select_high": (overridden, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}),
     "share": (diluted, 2, {"mean": 3.0, "size": 1.2, "inputs": 2}), "share of a burner": (burner, 2, {"mean": 3.0, "inputs": 2}),
-    "output_arsinh": (neutralised, 2, {}),
+    "output_arsinh": (neutralised, 2, {"mean": 4.0}),
     "saturation_upper of two": (capped, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}),
     "strut": (seat, 3, {"hold": 10}), "tyre_slip": (van, 3, {}), "loss_saturating": (patient, 2, {"mean": 3.0, "size": 1.3, "hold": 10}), "water_column": (turbine, 2, {"mean": 4.0, "size": 0.8}),
     "slipping": (slipping_belt, 2, {"hold": 10}),

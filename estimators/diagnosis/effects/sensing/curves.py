@@ -116,7 +116,7 @@ def _two_sided(channel: Any, f: Any) -> bool:
     level = next(
         f.p[sl] for q, sl in zip(f.structure.parts, f.structure.slices(), strict=True) if q.effect is OFFSET
     )
-    below = np.mean(channel.y[channel.keep] < level[0] - np.arcsinh(c * centre) / (c or 1.0))
+    below = np.mean(channel.y[channel.keep] < level[0] + np.arcsinh(c * centre) / (c or 1.0))
     return bool(LEAST_SIDE < below < 1.0 - LEAST_SIDE)
 
 
