@@ -1,4 +1,4 @@
-"""What several inputs do together: feed a process, as two inflows a vessel or a heater beside what is around it, draw on one supply, multiply.
+"""What several inputs do together: feed a process, as two inflows a vessel or a heater beside what is around it, draw on one supply, mix, multiply.
 
 What acts on one input leaves the others to the linear part, beside the process; these go through it, each by its weight.
 """
@@ -37,6 +37,11 @@ what they ask for together at which the supply may end, that are tried."""
 SLOPES, CROSSED = (-1.0, -0.45, 0.2, 0.45, 1.0, 2.2), (0.08, 0.2, 0.35, 0.5, 0.65, 0.8, 0.92)
 """Of the quotient of two inputs' deviations, the factors that one is set against the other by, and the quantiles of what is between them
 at which the other may take over, that are tried."""
+SUFFICED = 0.05  # of a record, which a supply must be enough for: one that never is divides itself by what is asked for, whatever it is
+WEIGHTS = (0.001, 0.05, 0.2, 0.5, 1.0, 2.0, 5.0, 20.0, 1000.0)
+"""Of the quotient of two inputs' means, the weights of the other in a share that are tried: at the first and the last the share is linear
+in a ratio of the two, one way up or the other, to a thousandth, and no fit comes there from a weight at which both count."""
+LEAST_SUM = 0.01  # of its mean, what two streams may add up to: their shares would be those of nearly none
 LEAST_SLOPE = 0.05  # of that quotient: below it the other input sets no limit, and a constant does
 REMADE, FURTHER = 2, (0, 1, 2)
 """Supplies that poles are made anew for, and poles that the linear part may have more than the linear model, in which what is held back
@@ -129,7 +134,9 @@ def _supplied(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]
         j = min(own)
         ratios = np.delete(np.where(np.isin(np.arange(nu), group), size[j] / size, 0.0), j)
         steps = [float(np.std(np.abs(channel.u[:, j]))), *ratios]
-        yield from _made(channel, base, Part(SHARED, j, nu - 1), _supplies(channel.u, j, ratios), steps)
+        made = _made(channel, base, Part(SHARED, j, nu - 1), _supplies(channel.u, j, ratios), steps)
+        asked = lambda f, j=j: np.abs(channel.u) @ drawn(j, f.p[-nu:])
+        yield from (f for f in made if np.mean(asked(f) < abs(f.p[-nu])) > SUFFICED)
 
 
 def _made(
@@ -210,8 +217,48 @@ def _selected(least: bool) -> Effect:
     return effect
 
 
+def _shares(U: Array, channel: int, p: Array, clock: Clock) -> Array:
+    """What share one input has of itself and another one by a weight; infinite where the two do not keep to one side of nothing."""
+    one, other = U[:, channel], p[1] * U[:, int(p[0]) - 1]
+    whole = one + other
+    mean = float(np.mean(whole))
+    if p[1] <= 0.0 or np.min(whole * mean) <= LEAST_SUM * mean**2:
+        return np.full(len(U), np.inf)
+    return one / whole
+
+
+def _shared_out(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+    """Every two inputs that flow one way, of which one acts here: its share, and that of the other, which leaves what the first does besides."""
+    from estimators.diagnosis.model.structure import Part
+
+    s, U = base.structure, channel.u
+    if s.layout != "tf":
+        return
+    one_way = np.flatnonzero((np.ptp(U, axis=0) > 0.0) & (np.min(U, axis=0) * np.max(U, axis=0) >= 0.0))
+    for pair in combinations(one_way.tolist(), 2):
+        fits: list[Any] = []
+        for j, k in permutations(pair):
+            ratio = float(np.mean(U[:, j]) / np.mean(U[:, k]))
+            if j in s.inputs and ratio > 0.0:
+                tried = ([k + 1.0, ratio * weight] for weight in WEIGHTS)
+                fits += _made(channel, base, Part(SHARE, j, 2), tried, [0.0, ratio])
+        # where the pair does nothing else the two are one, and the first input's share is said
+        yield from sorted(fits, key=lambda f: round(f.criterion))[:1]
+
+
+SHARE = Effect(
+    key="share", cause="mixing_ratio", nature=Nature.INPUT_STATIC, slot=Slot.INPUT, trials=len(WEIGHTS), alone=True,
+    sentence="the share acts that one of two inputs has of both: streams that mix, a blend, a dilution, a ratio of air and fuel",
+    parameters={"other": "1", "weight": "1"}, signal=_shares, search=_shared_out,
+    apply=lambda x, p, clock: x / (np.abs(x) + abs(p[1]) + NOTHING),
+)  # fmt: skip
 SELECTORS = tuple(_selected(least) for least in (True, False))
-SEVERAL = (SHARED, *SELECTORS, *(_fed(e) for e in PROCESS if e.key in FED and isinstance(e.apply, Passing)))
+SEVERAL = (
+    SHARED,
+    SHARE,
+    *SELECTORS,
+    *(_fed(e) for e in PROCESS if e.key in FED and isinstance(e.apply, Passing)),
+)
 
 
 LEAST_PRODUCT = 12.0

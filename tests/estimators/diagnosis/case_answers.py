@@ -68,6 +68,7 @@ NAMED = {
     "block with zeros": ("tf", [("input_cubic", [-0.4, 0.3, 0.05], {"first": 1, "free": True})], {}),
     "paths": ("tf", [("mode", [0.2, 0.1, -1.2, 0.8], {"size": 2}), ("integral_curve", [0.3, 0.1, 2.0, 0.2, 3.0, 50.0, -9.0, 4.0])], {}),
     "pitch": ("tf", [("output_ripple", [0.7, 0.05, -0.02, 0.3])], {}),
+    "titration": ("tf", [("output_arsinh", [1.7, 0.3])], {}),
     "treads": ("tf", [("output_staircase", [0.4, 0.1])], {}),
     "a wrong span": ("tf", [("misread", [0.7, 0.2, 30.0, 70.4])], {"clock": (-3.0, 1.0, 300)}), "a span set anew": ("tf", [("misread_since", [1.3, -0.2, 50.0])], {"clock": (-3.0, 1.0, 300)}),
     "ranges": ("tf", [("output_ranges", [-0.2, 0.7, 0.3])], {}),

@@ -336,6 +336,27 @@ def screwed(u, a):
     return x + a * (0.13 * np.sin(4.0 * x) + 0.06 * np.cos(4.0 * x))
 
 
+def diluted(u, a):
+    """Brine that water dilutes, a third heavier by the meters' units, ahead of a probe; or two streams that add up."""
+    if not a:
+        return linear(u[:, 0]) - 0.4 * linear(u[:, 1])
+    return linear(9.0 * u[:, 0] / (u[:, 0] + 1.3 * u[:, 1]))
+
+
+def burner(u, a):
+    """A burner whose oxygen goes with its air over its fuel, and whose fan is heard besides."""
+    return linear(4.0 * u[:, 0] / u[:, 1] if a else -u[:, 1]) + 0.3 * linear(u[:, 0])
+
+
+def neutralised(u, a):
+    """The pH of a tank in which a base meets an acid: what is left of either and of the water's own ions balance."""
+    excess = linear(u)
+    if not a:
+        return excess
+    left = 3.0 * (excess - 10.2)
+    return 7.0 + np.log10(left + np.sqrt(left**2 + 1.0))
+
+
 DRIVES = {
     # effect: maker, order of the linear model, form of the input
     "reported_in_time": (in_time, 2, {}),
@@ -352,6 +373,8 @@ DRIVES = {
     "shared_limit": (two_pumps, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}), "shared_limit of a neighbour": (its_neighbour, 2, {"inputs": 2}),
     "output_ripple": (screwed, 2, {"hold": 10}),
     "select_low": (cross_limited, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}), "select_high": (overridden, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}),
+    "share": (diluted, 2, {"mean": 3.0, "size": 1.2, "inputs": 2}), "share of a burner": (burner, 2, {"mean": 3.0, "inputs": 2}),
+    "output_arsinh": (neutralised, 2, {"mean": 4.0}),
     "saturation_upper of two": (capped, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}),
     "strut": (seat, 3, {"hold": 10}), "tyre_slip": (van, 3, {}), "loss_saturating": (patient, 2, {"mean": 3.0, "size": 1.3, "hold": 10}), "water_column": (turbine, 2, {"mean": 4.0, "size": 0.8}),
     "slipping": (slipping_belt, 2, {"hold": 10}),

@@ -110,6 +110,18 @@ def test_of_two_inputs_the_twin_selects_the_same(key, q, heard):
     np.testing.assert_allclose(_twin(model, u, [0.0, 0.0]), model.simulate(u), rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("heard", [(0,), (0, 1)])
+def test_of_two_streams_the_twin_has_the_same_share(heard):
+    p = [*POLES["tf"], 0.05, 0.2][: 2 + 2 * len(heard)]
+    s = Structure(2, heard).adding(Part(named("share"), 0))
+    answer = replace(named_answer("tf", [], {}), structure=s, p=np.array([*p, 2.0, 0.7]))
+    model = DiagnosedModel((answer,), np.full(1, 0.1), 0.5, ("u1", "u2"), ("y1",))
+    u = np.exp(0.5 * np.hstack((_input(), np.roll(_input(), 40))))
+    run = model.simulate(u)
+    assert np.ptp(run) > 0.05
+    np.testing.assert_allclose(_twin(model, u, [0.0, 0.0]), run, rtol=1e-9, atol=1e-9)
+
+
 @pytest.mark.parametrize("heard", [(0,), (1,), (0, 1)])
 def test_inputs_that_share_a_supply_are_cut_back_in_the_twin_too(heard):
     """Also by an input that the output does not hear."""

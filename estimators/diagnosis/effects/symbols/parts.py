@@ -296,6 +296,7 @@ TIMED: Mapping[str, Callable[[Wiring, Any, Array, Any], Any]] = {
     **{key: _in_own_time(key) for key in SWITCHING},
     "select_low": lambda w, x, p, k: w.ca.fmin(x, p[1] * w.u[int(p[0]) - 1] + p[2]),
     "select_high": lambda w, x, p, k: w.ca.fmax(x, p[1] * w.u[int(p[0]) - 1] + p[2]),
+    "share": lambda w, x, p, k: x / (x + p[1] * w.u[int(p[0]) - 1]),
 }
 """Of those that know the time, too, or another input."""
 
@@ -316,8 +317,7 @@ def _process(w: Wiring, x: Any, p: Array, passing: Passing) -> Any:
 def _map(w: Wiring, effect: Effect, x: Any, p: Array, k: Any, length: int) -> Any:
     """A map of one sample and its time, held to the effect on numbers: what has a memory, or asks for more, is refused."""
     apply: Any = effect.apply
-    rng = np.random.default_rng(0)
-    given = rng.standard_normal(SAMPLES) * np.repeat(SIZES, SAMPLES // len(SIZES))
+    given = np.random.default_rng(0).standard_normal(SAMPLES) * np.repeat(SIZES, SAMPLES // len(SIZES))
     at = np.arange(float(SAMPLES))
     try:
         term = terms.map_term(apply, p, length)
