@@ -44,7 +44,7 @@ SLIPS, DRAGS = (0.1, 0.3, 0.8), (0.02, 0.3)
 """Of the input's standard deviation, the difference that what slips passes on at most; what takes from it, of how fast it nears its input."""
 THINNEST = -0.95  # of a capacity, what its level may take away
 QUICKEST = 0.01  # lag in samples below which there is none
-RUN_UPS, LEAKS, EMPTY = (0.4, 1.5, 5.0), (0.03, 0.15, 0.6), (0.5, 2.5)
+RUN_UPS, LEAKS, EMPTY = (0.4, 1.5, 5.0, 20.0), (0.03, 0.15, 0.6), (0.5, 2.5)
 """Lags in samples before what is filled one way, what it loses over what it gains, and how far below the mean input, in standard
 deviations, the level lies that it empties to, beside zero."""
 SLIPPED, LOADS = (0.15, 0.4, 1.0), (0.02, 0.1, 0.3)
