@@ -43,6 +43,12 @@ GROWS = ([1.0, 0.0], [0.0, 1.0], [0.0, 20.0], [-0.6, 0.2])
 SLIPS, DRAGS = (0.1, 0.3, 0.8), (0.02, 0.3)
 """Of the input's standard deviation, the difference that what slips passes on at most; what takes from it, of how fast it nears its input."""
 THINNEST = -0.95  # of a capacity, what its level may take away
+QUICKEST = 0.01  # lag in samples below which there is none
+RUN_UPS, LEAKS, EMPTY = (0.4, 1.5, 5.0, 20.0), (0.03, 0.15, 0.6), (0.5, 2.5)
+"""Lags in samples before what is filled one way, what it loses over what it gains, and how far below the mean input, in standard
+deviations, the level lies that it empties to, beside zero."""
+SLIPPED, LOADS = (0.15, 0.4, 1.0), (0.02, 0.1, 0.3)
+"""Of the input's standard deviation, the slip of most torque; the load, over the torque's slope where nothing slips."""
 WEAKENED = (0.05, 0.15, 0.3, 0.5, 0.8)
 """Of the largest input's square, the power in its units, that is tried: at one, the largest input is limited at its own end alone."""
 LEAST = 1e-300  # a difference that no quotient by it leaves without a number
@@ -73,7 +79,7 @@ def _rest(force: Callable[..., Any], u: float, c: Array, start: float) -> float:
 
     Newton's steps leave a force that ends at zero for where no level is.
     """
-    move = lambda x: u - x - float(force(x, 0.0, u, 0.0, 0.0, c))
+    move = lambda x: u - x - float(force(x, 0.0, u, u, 0.0, c))
     x, now, step = start, move(start), NEAR * (abs(u) + abs(start) or 1e-9)
     for _ in range(DOUBLINGS):
         ahead = x + float(np.copysign(step, now))
@@ -87,10 +93,19 @@ def _rest(force: Callable[..., Any], u: float, c: Array, start: float) -> float:
     return start
 
 
-def passed(force: Callable[..., Any], u: Array, p: Array, *, start: float | None = None) -> Array:
+def led(p: Array, lagged: bool) -> tuple[str, tuple[float, ...]]:
+    """Layout of a process of parameters p, and logarithms of its rates: where its input is lagged, that of the lag, the last of p, is one."""
+    own = float(np.log(abs(p[0])))
+    return ("cascade", (own, -float(np.log(max(abs(p[-1]), QUICKEST))))) if lagged else ("first", (own,))
+
+
+def passed(
+    force: Callable[..., Any], u: Array, p: Array, *, start: float | None = None, lagged: bool = False
+) -> Array:
     """State (N,) of the process at the end of each sample, its rate p[0] per sample and the parameters of the force after it.
 
-    It rests before the record. What follows it moves on between the samples: with the end of each sample, a tap of the linear
+    Where its input is `lagged`, the last of them is the lag, which moves on within a sample, and the force reads what has passed it as
+    the last state. It rests before the record. What follows it moves on between the samples: with the end of each sample, a tap of the linear
     part more reaches the present, and a straight line between the samples can be met.
     """
     from estimators.diagnosis.model.layouts import Inside, states
@@ -101,22 +116,25 @@ def passed(force: Callable[..., Any], u: Array, p: Array, *, start: float | None
 
     def run(u: Array, p: Array) -> Array:
         level, c = level_before(u), np.array(p[1:], dtype=float)
-        x0 = _rest(force, level, c, level if start is None else start)
+        x0 = np.full(1 + lagged, level)
+        x0[0] = _rest(force, level, c, level if start is None else start)
         again = np.append(u, u[-1])  # one sample more, for the state at the end of the last
-        return states("first", np.log([rate]), again, Inside(((force, c, None),)), np.array([x0]))[1:, 0]
+        layout, rates = led(p, lagged)
+        return states(layout, np.array(rates), again, Inside(((force, c, None),)), x0)[1:, 0]
 
     return kept(run, u, p, (force, start))
 
 
 @dataclass(frozen=True)
 class Passing:
-    """What the input becomes when it passes a process with this force."""
+    """What the input becomes when it passes a process with this force, `lagged` behind a lag that is its last parameter."""
 
     force: Callable[..., Any]
+    lagged: bool = False
 
     def __call__(self, x: Array, p: Array, clock: Clock) -> Array:
         """(N,) state of the process at the end of each sample."""
-        return passed(self.force, x, p)
+        return passed(self.force, x, p, lagged=self.lagged)
 
     def start(self, level: float, p: Array) -> float:
         """Its state at rest under a constant input."""
@@ -129,16 +147,17 @@ def at_once(effect: Effect, q: Array, channel: Any, j: int) -> bool:
         return False
     force, u = effect.apply.force, channel.u[:, j]
     x, step = effect.apply(u, q, channel.clock), NEAR * float(np.std(u))
-    move = lambda x: u - x - force(x, 0.0, u, 0.0, 0.0, q[1:])
+    move = lambda x: u - x - force(x, 0.0, u, u, 0.0, q[1:])
     return float(np.median(np.abs(move(x + step) - move(x)))) * abs(float(q[0])) > INSTANT * step
 
 
 def _process(
-    key: str, cause: str, sentence: str, force: Callable[..., Any], parameters: dict[str, str], starts: Any, **fields: Any
+    key: str, cause: str, sentence: str, force: Callable[..., Any], parameters: dict[str, str], starts: Any, lag: bool = False,
+    **fields: Any,
 ) -> Effect:  # fmt: skip
-    known: dict[str, Any] = {"apply": Passing(force)} | fields
+    known: dict[str, Any] = {"apply": Passing(force, lag)} | fields
     return Effect(
-        key=key, cause=cause, nature=Nature.DYNAMIC, slot=Slot.INPUT, sentence=sentence, lagged=True, alone=True,
+        key=key, cause=cause, nature=Nature.DYNAMIC, slot=Slot.INPUT, sentence=sentence, lagged=not lag, alone=True,
         parameters={"rate": "1/sample"} | parameters, trials=15, starts=starts, **known,
     )  # fmt: skip
 
@@ -250,6 +269,40 @@ def _powers(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
         yield from profiled_fits(channel, base, part, (q for q in quicker if q[0] < FASTEST), sizes)
 
 
+def _driven(effect: Callable[[], Effect]) -> Callable[..., Iterator[Any]]:
+    """The search of a process behind a lag of its own: every input, before the linear model's poles and before a quick linear part."""
+
+    def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+        from estimators.diagnosis.model.structure import Part
+        from estimators.diagnosis.search.starts import fitted, scored, sizes_of
+
+        s = base.structure
+        for j in s.inputs if s.layout == "tf" and s.order else ():
+            part = Part(effect(), j)
+            yield from fitted(channel, base, scored(channel, base, part, ENDED).starts, 30)
+            shapes, sizes = part.effect.starts(sizes_of(channel, base, part))  # pyright: ignore[reportOptionalCall]
+            yield from profiled_fits(channel, base, part, shapes, sizes)
+
+    return search
+
+
+def _levels(s: Sizes) -> list[float]:
+    """Zero, and levels below the input, for one that is logged from another zero."""
+    mean = float(np.mean(s.u))
+    return [0.0, *(mean - below * s.su for below in EMPTY)]
+
+
+def _fills(s: Sizes) -> Grid:
+    grid = [list(q) for q in product(s.rates, LEAKS, _levels(s), RUN_UPS)]
+    return grid, [max(s.rates), 0.1, s.su, 1.0]
+
+
+def _pulled(s: Sizes) -> Grid:
+    widths = [share * s.su for share in SLIPPED]
+    grid = [list(q) for q in product(s.rates, widths, LOADS, _levels(s)[:1], RUN_UPS)]
+    return grid, [max(s.rates), s.su, 0.1, s.su, 1.0]
+
+
 def _weakened(s: Sizes) -> Grid:
     return _shapes(s, *([share] for share in WEAKENED), sizes=[float(np.max(np.abs(s.u))) ** 2])
 
@@ -294,6 +347,18 @@ POWERED = _process(
     _limited_power, {"power": "u^2"}, _weakened, search=_powers,
 )  # fmt: skip
 
+CHECKED = _process(
+    "check_valve", "asymmetric_rise_and_fall",
+    "it fills one way only and empties by itself: an accumulator behind a check valve, a peak detector, a rectifier with its capacitor",
+    lambda p, v, u, q, s, c: q - p - np.maximum(q - p, 0.0) + c[0] * (p - c[1]),
+    {"loss": "1", "level": "u", "lag": "sample"}, _fills, search=_driven(lambda: CHECKED), lag=True,
+)  # fmt: skip
+PULLED = _process(
+    "pull_out", "slip", "its torque rises with the slip to a largest one and falls beyond it (Kloss): an induction machine",
+    lambda p, v, u, q, s, c: q - p - (q - p) / (1.0 + ((q - p) / np.maximum(np.abs(c[0]), LEAST)) ** 2) + c[1] * (p - c[2]),
+    {"width": "u", "loss": "1", "level": "u", "lag": "sample"}, _pulled, search=_driven(lambda: PULLED), lag=True,
+)  # fmt: skip
+
 PROCESS = (
     _process("rise_and_fall", "asymmetric_rise_and_fall", "it rises at another rate than it falls",
              lambda p, v, u, q, s, c: -c[0] * np.maximum(u - p, 0.0),
@@ -325,6 +390,8 @@ PROCESS = (
     _process("slipping", "slip", "what drives it slips: beyond a limit a belt, a clutch, a tyre passes on no more",
              lambda p, v, u, q, s, c: u - p - np.maximum(np.abs(c[0]), LEAST) * np.tanh((u - p) / np.maximum(np.abs(c[0]), LEAST)) + c[1] * p,
              {"limit": "u", "loss": "1"}, lambda s: _shapes(s, *map(list, product(SLIPS, DRAGS)), sizes=[s.su, 1.0])),
+    CHECKED,
+    PULLED,
     POWERED,
     THROUGH,
     FILLED,

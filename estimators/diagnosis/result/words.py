@@ -23,6 +23,8 @@ PLAIN = {
     "acts_since.centre": "level about which it acts so", "acts_since.state": "state from which it does", "input_staged.size": "what the second stage adds", "band": "way past the middle between two steps", "output_ranges.slope": "excess of the gain above the level", "output_autorange.slope": "excess of the gain of the upper range",
     "selected": "number of the other input", "share.other": "number of the other input", "share.weight": "weight of the other input in the sum", "dose": "what fills the level", "event_replaces.duration": "duration of an event", "event_adds.duration": "duration of an event", "instead": "what it gives meanwhile", "beside": "what comes beside the input meanwhile", "event_replaces.lag": "lag of the actuator", "event_adds.lag": "lag of the actuator",
     "relay_feedback.low": "lower level", "relay_feedback.high": "upper level", "gain_heat.time": "time constant",
+    "check_valve.rate": "rate of filling", "check_valve.loss": "loss over the rate of filling", "check_valve.level": "level that it empties to", "check_valve.lag": "lag of what fills it",
+    "pull_out.rate": "rate where nothing slips", "pull_out.width": "slip of most torque", "pull_out.loss": "load's slope over the torque's where nothing slips", "pull_out.level": "level without a load", "pull_out.lag": "lag of what drives it",
     "rise_and_fall.asymmetry": "relative excess of the rate when it rises", "orifices.asymmetry": "relative excess of the rate when it rises",
     "orifices.rate": "rate at twenty times the laminar difference",
     "gain_settles.more": "excess of the gain at the start, over that in the end", "reading": "what it reads there",

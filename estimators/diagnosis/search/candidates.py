@@ -11,10 +11,10 @@ from scipy.stats import chi2
 from estimators.diagnosis.effects import CATALOGUE, Effect, Nature, Slot
 from estimators.diagnosis.effects.profiled import gained
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
-from estimators.diagnosis.model.linear import fit_linear, fresh_poles, layout_starts, relinearised
-from estimators.diagnosis.model.structure import Part, Structure, stable_polynomial
+from estimators.diagnosis.model.linear import fit_linear, layout_starts
+from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.record.measurement import switched
-from estimators.diagnosis.search.starts import DRIFTING, DRIFTS, Start, fitted, followed, renewed, scored
+from estimators.diagnosis.search.starts import DRIFTING, DRIFTS, Start, fitted, renewed, scored, steady_of
 from estimators.diagnosis.share.signals import late
 from estimators.residual.algebra import least_squares
 
@@ -101,7 +101,7 @@ def augmented(
     if needed > 0.0 or (fits and not base.structure.effects and explained(channel, base, fits)):
         return
     further: list[Fit] = []
-    steady = _steady(channel, base) if any(e.family == DRIFTS for e in wanted) else None
+    steady = steady_of(channel, base) if any(e.family == DRIFTS for e in wanted) else None
     for e in wanted:
         if fits and not base.structure.effects:
             further += _led(channel, base, e, iterations)
@@ -189,24 +189,6 @@ def _sooner(channel: Channel, base: Fit) -> list[Fit]:
     if s.layout != "tf" or s.effects:
         return []
     return [fit_linear(channel, replace(s, delay=d)) for d in {s.delay // 2, 0} if d < s.delay]
-
-
-def _steady(channel: Channel, base: Fit) -> Fit | None:
-    """The linear model with the poles that changes from sample to sample show, where a slow one may have followed what drifts; of
-    which the residual then says nothing."""
-    s, y = base.structure, channel.y
-    if s.effects or not followed(channel, base):
-        return None
-    U = channel.u[:, list(s.inputs)]
-    keep = channel.keep & np.concatenate(([False], channel.keep[:-1]))
-    f = fresh_poles(np.diff(y, prepend=y[0]), np.diff(U, axis=0, prepend=U[:1]), s, keep)
-    if not stable_polynomial(f):
-        return None
-    q = relinearised(channel, s, np.concatenate((f, base.p[s.order :])))
-    if q is None:
-        return None
-    held = np.where(np.arange(len(q)) < s.order, 0.0, base.scales)
-    return replace(fit(channel, s, q, held, iterations=2, colour=False), scales=base.scales)
 
 
 def explained(channel: Channel, base: Fit, fits: list[Fit]) -> bool:

@@ -15,7 +15,7 @@ from estimators.diagnosis.effects.loops.ageing import WORN
 from estimators.diagnosis.effects.loops.recycled import RECYCLE
 from estimators.diagnosis.effects.path import STORE_CURVE
 from estimators.diagnosis.effects.plant import MOVING, SWINGS
-from estimators.diagnosis.effects.process import FILLED, THROUGH, at_once
+from estimators.diagnosis.effects.process import CHECKED, FILLED, PULLED, THROUGH, at_once
 from estimators.diagnosis.effects.sensing.folding import RECTIFIED
 from estimators.diagnosis.model.errors import parameters_of
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
@@ -74,8 +74,11 @@ LAGGING = {
     **{key + fed: own for fed in ("", "_fed") for key, own in {
         "rise_and_fall": ("asymmetry",), "loss_cubic": ("k3",), "loss": ("k2", "k3"), "capacity_bump": ("more",),
         "capacity_level": ("k1", "k2")}.items()},
+    CHECKED.key: (), PULLED.key: (),
 }  # fmt: skip
-"""Effects that without these parameters are lags beside the plant: more linear dynamics."""
+"""Effects that without these parameters are lags beside the plant: more linear dynamics. Those without any have a range in which they are
+two lags: a valve that never closes, a slip far from the one of most torque."""
+FAR = 1e3  # widths of an input's range, at which a slip of most torque leaves two lags, as does a valve that never closes
 STRAIGHTENED = 30  # steps in which a lag is fitted in the place of one
 
 
@@ -93,11 +96,19 @@ def _bends(part: Part, f: Fit, channel: Channel) -> bool:
     """Whether a lag in the place of an effect is no match for it by Schwarz's criterion: a bump far from all levels of the record has
     no size that is told from nothing, as its tail has any beside a width and a level that go with it."""
     names = [name for name, _ in part.parameters(f.structure.order)]
-    start = f.structure.slices()[f.structure.parts.index(part)].start
-    own = [start + names.index(name) for name in LAGGING[part.key]]
-    p, scales = f.p.copy(), f.scales.copy()
-    p[own], scales[own] = 0.0, 0.0
-    lag = fit(channel, f.structure, p, scales, noise=f.noise, iterations=STRAIGHTENED)
+    at, s, p, scales = f.structure.parts.index(part), f.structure, f.p.copy(), f.scales.copy()
+    own = s.slices()[at]
+    held = [own.start + names.index(name) for name in LAGGING[part.key]]
+    p[held], scales[held] = 0.0, 0.0
+    if not held:
+        far = FAR * float(np.ptp(channel.u[:, part.channel]))
+        beside = [own.start + i for i, name in enumerate(names) if name != "width"]
+        s = replace(s, parts=(*s.parts[:at], replace(part, effect=PULLED), *s.parts[at + 1 :]))
+        p, scales = (
+            np.concatenate((x[: own.start], np.insert(x[beside], 1, width), x[own.stop :]))
+            for x, width in ((p, far), (scales, 0.0))
+        )
+    lag = fit(channel, s, p, scales, noise=f.noise, iterations=STRAIGHTENED)
     return bool(lag.deviance - f.deviance > len(names) * np.log(f.n))
 
 

@@ -178,6 +178,24 @@ def followed(channel: Channel, base: Fit) -> bool:
     return base.structure.layout == "tf" and _slow(base.p[: base.structure.order], len(channel))
 
 
+def steady_of(channel: Channel, base: Fit) -> Fit | None:
+    """The linear model with the poles that changes from sample to sample show, where a slow one may have followed what drifts; of
+    which the residual then says nothing."""
+    s, y = base.structure, channel.y
+    if s.effects or not followed(channel, base):
+        return None
+    U = channel.u[:, list(s.inputs)]
+    keep = channel.keep & np.concatenate(([False], channel.keep[:-1]))
+    f = fresh_poles(np.diff(y, prepend=y[0]), np.diff(U, axis=0, prepend=U[:1]), s, keep)
+    if not stable_polynomial(f):
+        return None
+    q = relinearised(channel, s, np.concatenate((f, base.p[s.order :])))
+    if q is None:
+        return None
+    held = np.where(np.arange(len(q)) < s.order, 0.0, base.scales)
+    return replace(fit(channel, s, q, held, iterations=2, colour=False), scales=base.scales)
+
+
 def _slow(f: Array, n: int) -> bool:
     """Whether the slowest pole of a denominator, without its 1, remembers a share of n samples."""
     return bool(np.abs(np.roots(np.concatenate(([1.0], f)))).max(initial=0.0) > 1.0 - SLOW / n)

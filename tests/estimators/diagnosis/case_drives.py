@@ -167,6 +167,33 @@ def slipping_belt(u, a):
     return lag(out, 0.4)
 
 
+def accumulator(u, a):
+    """What a pump that runs up fills through a valve that lets nothing back, and a consumer empties."""
+    s, x, out = 1.4 * u[0], 1.4 * u[0] * 0.4 / 0.46, np.zeros(len(u))
+    for k, value in enumerate(u):
+        out[k] = x
+        for _ in range(FINE):
+            flow = s - x
+            x += (0.4 * (max(flow, 0.0) if a else flow) - 0.06 * x) / FINE
+            s += (1.4 * value - s) / 1.7 / FINE
+    return 3.0 + out
+
+
+def induction(u, a):
+    """A motor whose torque falls beyond a slip of .9, on a fan, behind a converter that ramps; or with a torque in proportion to the slip."""
+    field, x, out = u[0], u[0] / 1.03, np.zeros(len(u))
+    for _ in range(400 * FINE):  # until it runs as it does before the record
+        slip = field - x
+        x += 0.35 * ((slip / (1.0 + (slip / 0.9) ** 2) if a else slip) - 0.03 * x) / FINE
+    for k, value in enumerate(u):
+        out[k] = x
+        for _ in range(FINE):
+            slip = field - x
+            x += 0.35 * ((slip / (1.0 + (slip / 0.9) ** 2) if a else slip) - 0.03 * x) / FINE
+            field += (value - field) / 4.0 / FINE
+    return 30.0 * out
+
+
 def _one_way(u, a, way):
     """A flow with inertia through a valve that lets it pass one way only, into a vessel that leaks, read with a lag."""
     drive, v = way * u, way * u[0] * 0.3 / 0.314
@@ -378,6 +405,7 @@ DRIVES = {
     "saturation_upper of two": (capped, 2, {"mean": 2.0, "size": 0.9, "inputs": 2}),
     "strut": (seat, 3, {"hold": 10}), "tyre_slip": (van, 3, {}), "loss_saturating": (patient, 2, {"mean": 3.0, "size": 1.3, "hold": 10}), "water_column": (turbine, 2, {"mean": 4.0, "size": 0.8}),
     "slipping": (slipping_belt, 2, {"hold": 10}),
+    "check_valve": (accumulator, 2, {"mean": 4.0, "hold": 10}), "pull_out": (induction, 2, {"mean": 8.0, "size": 1.5, "hold": 20}),
     "flow_up": (rectified, 3, {"hold": 15, "mean": 1.0}),
     "flow_down": (drained, 3, {"hold": 15, "mean": -1.0}),
     "stiffness_settles": (curing, 2, {}), "inertia_settles": (icing, 2, {}), "resonance_settles": (stretching, 2, {}),

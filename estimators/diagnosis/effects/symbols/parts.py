@@ -15,7 +15,7 @@ from estimators.diagnosis.effects.loops import play_widths
 from estimators.diagnosis.effects.loops.ageing import worn_by
 from estimators.diagnosis.effects.loops.switching import SWITCHING, times
 from estimators.diagnosis.effects.path import curve_of_charge
-from estimators.diagnosis.effects.process import Passing
+from estimators.diagnosis.effects.process import Passing, led
 from estimators.diagnosis.effects.sensing.gains import law_of
 from estimators.diagnosis.effects.sensing.turns import TOP
 from estimators.diagnosis.effects.symbols import terms
@@ -305,13 +305,13 @@ def _process(w: Wiring, x: Any, p: Array, passing: Passing) -> Any:
     from estimators.diagnosis.effects.kernels.plant_kernels import Elements
     from estimators.diagnosis.model.layouts import STEPS, held_plant
 
-    s = w.state(passing.start(w.value(x), p))
-    held = held_plant("first", (float(np.log(abs(p[0]))),), STEPS)
-    step = terms.feedback_step(1, held, Elements(), [(passing.force, p[1:])])
+    s = w.state([passing.start(w.value(x), p), *[w.value(x)] * passing.lagged])
+    held = held_plant(*led(p, passing.lagged), STEPS)
+    step = terms.feedback_step(len(held.phi), held, Elements(), [(passing.force, p[1:])])
     s.after = s.x
     for _ in range(STEPS):
         s.after, _ = step(s.after, x, 0.0)
-    return s.after
+    return s.after[0]
 
 
 def _map(w: Wiring, effect: Effect, x: Any, p: Array, k: Any, length: int) -> Any:
