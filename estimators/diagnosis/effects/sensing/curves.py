@@ -94,10 +94,8 @@ RIPPLE = Effect(
     curve=_rippled, search=_ripples,
 )  # fmt: skip
 
-ENDS = (
-    0.002,
-    0.998,
-)  # quantiles between which what is read counts: an outlier's sine hyperbolic would be all that a fit sees
+ENDS = (0.002, 0.998)
+"""Quantiles between which what is read counts: an outlier's hyperbolic sine would be all that a fit sees."""
 BENT, MIDDLES = (0.7, 1.3, 2.5, 4.5, 8.0), (0.0, 0.25, 0.5, 0.75, 1.0)
 """Of a titration curve, its sharpness times half of what is read, and where in that its steep middle lies, that are tried: the slopes in the
 middle are 1.3 to 1500 times those at the ends."""
@@ -105,7 +103,6 @@ SETTLED, TITRATED, NEAREST_SHAPES = 8, 3, 6
 """Gauss-Newton steps by which a linear part finds itself behind each of them; those that are fitted, and that are tried with more poles."""
 MORE = (-1, 0, 1, 2)
 """Poles beyond the linear model's: one may have stood for the curve, and in a loop that holds the reading about one level a curve hides some."""
-
 
 LEAST_SIDE = 0.02  # of the readings on either side of its middle: on one side alone it is a logarithm, or what goes with a reciprocal
 
