@@ -31,7 +31,7 @@ UNDERSTATED = (
 NEAR = 0.5  # of the best gain at the input, for an effect to be tried with other poles
 LAGGED = 4  # effects at the input that are tried behind a lag
 RENEWALS = 3  # rounds of fresh poles for the best effect at the input
-ON = 25  # further steps of the kin of what did best
+ON = 25  # further steps of what changes with time
 QUICK = 5  # Gauss-Newton steps by which starts inside a plant are told apart
 FORMS = 2  # layouts that are tried with several inputs, which cost a column of parameters each; the inside is looked at first
 PLAIN, LATER, CHANCE = 2, (0, 1, 2, 3, 5, 8, 13), 1e-3
@@ -116,18 +116,17 @@ def augmented(
 def _kin(
     channel: Channel, base: Fit, wanted: list[Effect], fits: list[Fit], iterations: int
 ) -> Iterator[Fit]:
-    """Where nothing explains the record yet, fits with the other effects of the nature of the one that did best: a linear model that is far
-    off says little by its scores, but what stands in for a cause is of its kind."""
-    near = min(fits, key=lambda f: f.criterion)
-    of = lambda f: f.structure.parts[-1].effect
-    kin = lambda e: e.nature is of(near).nature or {e.family, of(near).family} <= set(DRIFTING)
-    if explained(channel, base, [near]):
+    """Where what did best changes with time and does not explain the record, all that does: a linear model whose slow pole has followed
+    a drift says little of it by its scores, but what stands in for a cause is of its kind."""
+    near, of = min(fits, key=lambda f: f.criterion), lambda f: f.structure.parts[-1].effect
+    timed = lambda e: e.nature is Nature.TIME or e.family in DRIFTING
+    if not timed(of(near)) or explained(channel, base, [near]):
         return
     for f in fits:
-        if f is not near and f.structure.layout == "tf" and of(f).search is None and kin(of(f)):
+        if f is not near and f.structure.layout == "tf" and of(f).search is None and timed(of(f)):
             yield fit(channel, f.structure, f.p, f.scales, noise=f.noise, iterations=ON)
     known = {of(f) for f in fits}
-    rest = [e for e in wanted if e.search is None and e not in known and kin(e)]
+    rest = [e for e in wanted if e.search is None and e not in known and timed(e)]
     yield from _scanned(channel, base, rest, 2, iterations, 0, 0.0)
 
 

@@ -51,12 +51,15 @@ def _through(
     return channel, replace(f, noise=np.zeros(0), variance=white, deviance=f.n * np.log(white)), noise
 
 
-def test_no_kin_is_asked_of_what_explains_the_record(rng):
-    channel, base, noise = _through(lambda u: np.minimum(u, 0.7), 2, 0.0, rng)
-    menu = Menu((named("saturation_upper"), named("input_cubic"), named("input_sine")))
-    found = list(augmented(channel, base, menu, top=1))
+def test_no_kin_is_asked_of_what_explains_the_record_nor_of_what_keeps_still(rng):
+    channel, base, noise = _through(lambda u: u * np.linspace(1.0, 1.6, len(u)), 2, 0.0, rng)
+    found = list(augmented(channel, base, Menu((named("gain_drift"), named("inertia_drift"))), top=1))
     assert error(min(found, key=error)) < 1.1 * noise
-    assert {f.structure.parts[-1].key for f in found} == {"saturation_upper"}
+    assert {f.structure.parts[-1].key for f in found} == {"gain_drift"}
+    channel, base, noise = _through(lambda u: np.exp(-2.0 * u), 2, 0.0, rng)
+    found = list(augmented(channel, base, Menu((named("saturation_upper"), named("input_sine"))), top=1))
+    assert error(min(found, key=error)) > 2.0 * noise
+    assert len({f.structure.parts[-1].key for f in found}) == 1
 
 
 @pytest.mark.parametrize("level", [0.0, 40.0])
