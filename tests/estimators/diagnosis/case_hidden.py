@@ -9,6 +9,7 @@ from tests.estimators.diagnosis.case_classes import CLASSES, LOOKALIKES
 from tests.estimators.diagnosis.case_drives import DRIVES
 from tests.estimators.diagnosis.case_parts import FINE, lag, linear, read, sensor, swing
 from tests.estimators.diagnosis.case_passages import PASSAGES
+from tests.estimators.diagnosis.case_several import SEVERAL
 
 __all__ = ["ALL_CLASSES", "ALL_LOOKALIKES"]
 
@@ -324,7 +325,7 @@ def slid(u, a):
     return linear(out)
 
 
-ALL_CLASSES = CLASSES | DRIVES | PASSAGES | {
+ALL_CLASSES = CLASSES | DRIVES | SEVERAL | PASSAGES | {
     # effect: maker, order of the linear model, form of the input
     "rate_in_loop": (slow_valve, 3, {"hold": 20, "size": 0.5}), "rate_of_loop": (slow_valve_seen, 3, {"hold": 20, "size": 0.5}),
     "gain_of_angle": (rollers, 2, {"mean": 3.0, "size": 0.5}), "gain_fatigue": (tired, 2, {"mean": 2.0}),
