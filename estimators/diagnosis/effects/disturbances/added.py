@@ -324,6 +324,14 @@ OFFSET = _added(
     apply=lambda y, p, c: y + p[0], starts=lambda s: ([[0.05 * s.sy]], [s.sy]), slopes=lambda p, c: [(0, np.ones(len(c.k)))],
 )  # fmt: skip
 
+
+def level_at(s: Any) -> int | None:
+    """Which parameter of a structure is the constant that is added, None where none is."""
+    return next(
+        (sl.start for part, sl in zip(s.parts, s.slices(), strict=True) if part.effect is OFFSET), None
+    )
+
+
 TONES = _added(
     "tones", "periodic_disturbance", "a sinusoid is added", parameters=TONE, per_sample=True, apply=_tones, slopes=_tones_by_size,
     shape=lambda size, order: numbered(TONE, size) if size > 1 else list(TONE.items()), search=_tone_fits,

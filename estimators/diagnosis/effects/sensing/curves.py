@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from estimators.diagnosis.effects.disturbances.added import OFFSET
+from estimators.diagnosis.effects.disturbances.added import level_at
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot
 from estimators.diagnosis.effects.input import odd
 from estimators.diagnosis.effects.output import KEPT, quickly_made, sensor
@@ -110,10 +110,8 @@ LEAST_SIDE = 0.02  # of the readings on either side of its middle: on one side a
 def _two_sided(channel: Any, f: Any) -> bool:
     """Whether what is read lies on both sides of the steep middle of a curve that was fitted."""
     c, centre = f.p[-2:]
-    level = next(
-        f.p[sl] for q, sl in zip(f.structure.parts, f.structure.slices(), strict=True) if q.effect is OFFSET
-    )
-    below = np.mean(channel.y[channel.keep] < level[0] + np.arcsinh(c * centre) / (c or 1.0))
+    level = f.p[level_at(f.structure)]
+    below = np.mean(channel.y[channel.keep] < level + np.arcsinh(c * centre) / (c or 1.0))
     return bool(LEAST_SIDE < below < 1.0 - LEAST_SIDE)
 
 
@@ -127,7 +125,7 @@ def _titrated(
     from estimators.diagnosis.model.structure import Part
 
     s, found = base.structure, []
-    at = next(sl.start for part, sl in zip(s.parts, s.slices(), strict=True) if part.effect is OFFSET)
+    at = level_at(s)
     new, (low, high) = s.adding(Part(TITRATION)), np.quantile(channel.y[channel.keep], ENDS)
     for c, middle in shapes:
         there = replace(channel, y=np.sinh(c * (np.clip(channel.y, low, high) - middle)) / c)
@@ -151,12 +149,11 @@ def _titrations(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[An
 
     s, least = base.structure, np.inf
     low, high = np.quantile(channel.y[channel.keep], ENDS)
-    levelled = any(part.effect is OFFSET for part in s.parts)
     if (
         s.layout != "tf"
         or s.effects
         or s.order < 1
-        or not levelled
+        or level_at(s) is None
         or np.mean(channel.keep) < KEPT
         or not high > low
     ):

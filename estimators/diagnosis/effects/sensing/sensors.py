@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from estimators.diagnosis.effects.disturbances.added import OFFSET
+from estimators.diagnosis.effects.disturbances.added import level_at
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
 from estimators.diagnosis.effects.input import moved
 from estimators.diagnosis.effects.output import KEPT, in_step, mended, quickly_made, read_at
@@ -107,7 +107,7 @@ def _sines(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     from estimators.diagnosis.model.structure import Part
 
     s, found = base.structure, []
-    at = next((sl.start for part, sl in zip(s.parts, s.slices(), strict=True) if part.effect is OFFSET), None)
+    at = level_at(s)
     if s.layout != "tf" or s.effects or at is None or np.mean(channel.keep) < KEPT:
         return
     new = s.adding(Part(SINE))
