@@ -47,8 +47,7 @@ def _over_blind(row: Row) -> Row:
     """Rho of the iterations' own estimator over that of the best blind way, with an error as if the two had no run in common."""
     ratio = row["rho_own"] / row["rho_nothing"]
     relative = np.hypot(*(row[f"rho_{k}_se"] / row[f"rho_{k}"] for k in ("own", "nothing")))
-    same = row["best_own"] == row["best_nothing"]
-    return row | {"ratio": ratio, "ratio_se": 0.0 if same else ratio * float(relative)}
+    return row | {"ratio": ratio, "ratio_se": ratio * float(relative)}
 
 
 def advice_sentences(answer: Sequence[Row], best: Sequence[Row]) -> list[str]:
@@ -64,11 +63,14 @@ def advice_sentences(answer: Sequence[Row], best: Sequence[Row]) -> list[str]:
             lines.append(f"{knows}, apply {inputs} and estimate with {fits}{f' ({how})' if how else ''}.")
     ratios = sorted((_over_blind(r) for r in answer if is_number(r["rho_own"]) and is_number(r["rho_nothing"])),
                     key=lambda r: r["ratio"])  # fmt: skip
-    if ratios and all(r["best_own"] == r["best_nothing"] for r in ratios):
+    behind = [r for r in ratios if r["best_own"] != r["best_nothing"]]
+    if ratios and not behind:
         lines.append("The iterations with their own estimator are the best way that is told nothing.")
     elif ratios:
-        lines.append("The error of the iterations' own estimators is " + between(ratios[0], ratios[-1], "ratio")
-                     + " that of the best way which is told as little: nothing.")  # fmt: skip
+        first = len(ratios) - len(behind)
+        lines.append("The error of the iterations' own estimators is " + between(behind[0], behind[-1], "ratio")
+                     + " that of the best way which is told as little: nothing"
+                     + (f"; in {first} of {len(ratios)} cases they are that way." if first else "."))  # fmt: skip
     free = [r for r in best if is_number(r["rho"]) and r["known"] != Told.PLANT.value]
     if not lines and free:
         top = min(free, key=lambda r: r["rho"])

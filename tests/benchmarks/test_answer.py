@@ -149,7 +149,8 @@ def test_the_first_sentence_has_the_budget_and_the_threshold_and_the_advice_its_
     assert said.endswith("without end, in 2.")
     assert short_answer([row | {"c_efficiency": 0.95}], [], Settings()).startswith("Yes:")
     advice = advice_sentences([row, row | {"case": "b", "best_own": "power / frf", "rho_own": 1.5}], [])
-    assert "1 ± 0 times (b, noise 1) and 2.00 ± 0.28 times (a, noise 1)" in advice[-1]
+    assert "estimators is 2.00 ± 0.28 times (a, noise 1) that of" in advice[-1]
+    assert advice[-1].endswith("; in 1 of 2 cases they are that way.")
     assert (
         "apply power (2) and estimate with pem (2) (in brackets: in how many of 2 cases it was best; in 2 others"
         in advice[0]
