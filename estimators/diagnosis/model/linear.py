@@ -58,19 +58,24 @@ def _prefiltered(y: Array, U: Array, f: Array, taps: int, delay: int, keep: Arra
     level are then free; but slow poles that are free to begin anywhere follow what drifts.
     """
     n, den = len(f), np.concatenate(([1.0], f))
-    free = [np.column_stack((np.ones(len(y)), np.eye(len(y), n)))] if begun else []
-    v, W, *B = (np.asarray(lfilter([1.0], den, x, axis=0)) for x in (y, U, *free))
+    v, W, *B = (np.asarray(lfilter([1.0], den, x, axis=0)) for x in (y, U, *_free(y, n, begun)))
     return _reflected(_regression(v, W, n, taps, delay, keep, *B)[:n])
 
 
-def prefiltered_error(y: Array, U: Array, den: Array, s: Structure, rows: NDArray[np.bool_]) -> float:
-    """Sum of squares of one Steiglitz-McBride step: equation error, prefiltered by a given denominator.
+def _free(y: Array, n: int, begun: bool) -> list[Array]:
+    """What tells the level and the first samples of a record that has `begun` before."""
+    return [np.column_stack((np.ones(len(y)), np.eye(len(y), n)))] if begun else []
+
+
+def prefiltered_error(
+    y: Array, U: Array, den: Array, s: Structure, rows: NDArray[np.bool_], begun: bool = False
+) -> float:
+    """Sum of squares of one Steiglitz-McBride step: equation error, prefiltered by a given denominator, as `_prefiltered` has it.
 
     Shapes: y (N,), U (N, nu), rows (N,).
     """
-    v = np.asarray(lfilter([1.0], den, y))
-    W = np.asarray(lfilter([1.0], den, U, axis=0))
-    X = _lagged(v, W, s.order, s.taps, s.delay)[rows]
+    v, W, *B = (np.asarray(lfilter([1.0], den, x, axis=0)) for x in (y, U, *_free(y, s.order, begun)))
+    X = np.hstack((_lagged(v, W, s.order, s.taps, s.delay), *B))[rows]
     rest = v[rows] - X @ least_squares(X, v[rows])
     return float(rest @ rest)
 

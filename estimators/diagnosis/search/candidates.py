@@ -14,7 +14,16 @@ from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.linear import fit_linear, layout_starts
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.record.measurement import switched
-from estimators.diagnosis.search.starts import DRIFTING, DRIFTS, Start, fitted, renewed, scored, steady_of
+from estimators.diagnosis.search.starts import (
+    DRIFTING,
+    DRIFTS,
+    Start,
+    fitted,
+    quick_pole,
+    renewed,
+    scored,
+    steady_of,
+)
 from estimators.diagnosis.share.signals import late
 from estimators.residual.algebra import least_squares
 
@@ -235,7 +244,8 @@ def _chosen(tasks: list[_Task], top: int, explained: bool) -> list[Effect]:
 
 
 def _lagged_fits(channel: Channel, base: Fit, found: list[Fit], iterations: int) -> Iterator[Fit]:
-    """The best effects at the input once more, behind an actuator that lags: one of the linear model's poles comes before them."""
+    """The best effects at the input once more, behind an actuator that lags: one of the linear model's poles comes before them, or one that
+    is read from what a bend behind it would leave."""
     s = base.structure
     if s.layout != "tf" or s.order < 2:
         return
@@ -265,7 +275,7 @@ def _lagged_fits(channel: Channel, base: Fit, found: list[Fit], iterations: int)
         new = replace(f.structure, parts=(*f.structure.parts[:-1], replace(part, first=1)))
         behind = [
             _with_fresh_poles(channel, f, np.insert(source.p, at, -pole), np.insert(f.scales, at, 1.0), new, np.inf, iterations)
-            for pole in real or [0.5]
+            for pole in [*real, quick_pole(channel, base, part.channel)]
         ]  # fmt: skip
         yield from ([] if best is None else _bent(channel, best))
         yield from _least(g for g in behind if g is not None)

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from estimators.diagnosis.effects.effect import Sizes, Slot
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.layouts import RATES, layout_matrices, states
-from estimators.diagnosis.model.linear import fresh_poles, numerators, relinearised
+from estimators.diagnosis.model.linear import fresh_poles, numerators, prefiltered_error, relinearised
 from estimators.diagnosis.model.simulation import acted, joined, simulate
 from estimators.diagnosis.model.structure import Part, Structure, stable_polynomial
 
@@ -32,6 +32,9 @@ Shapes that are made anew then, of the families of what changes a gain slowly.""
 
 QUICKLY = 8
 """Gauss-Newton steps by which a curve at the output finds its level, at most."""
+
+LAGS = tuple(float(np.exp(-1.0 / tau)) for tau in (0.5, 1.0, 2.0, 4.0, 8.0, 16.0))
+"""Poles of an actuator's lag that are asked of a bend behind it, by octaves: a fit goes on from the nearest."""
 
 PACES = (0.3, 0.6)
 """Quick poles that may follow a process: a sensor's or an actuator's lag, from one sample on."""
@@ -283,6 +286,21 @@ def _of_any_size(channel: Channel, s: Structure, p: Array, scales: Array) -> lis
 
 STEEP, FINE = 0.02, 400
 """Slope of a sensor's curve, of its median over what was seen, from which on a reading says what it is of; points of the curve."""
+
+
+def quick_pole(channel: Channel, base: Fit, j: int) -> float:
+    """The pole of a lag before input j's curve: that behind which a square and a cube of the input, as inputs of their own before the
+    linear model's poles, explain most of what it leaves. A linear model's own poles need not have that lag among them."""
+    s, x = base.structure, channel.u[:, j]
+    x = (x - x[channel.keep].mean()) / (x[channel.keep].std() + 1e-300)
+    y, left = channel.y - channel.y[channel.keep].mean(), []
+    for pole in LAGS:
+        z = lfilter([1.0 - pole], [1.0, -pole], x)
+        U = np.column_stack((channel.u[:, list(s.inputs)], z, z**2, z**3))
+        U -= U[channel.keep].mean(axis=0)
+        f = np.concatenate(([1.0], fresh_poles(y, U, s, channel.keep, begun=True)))
+        left.append(prefiltered_error(y, U, f, s, channel.keep, begun=True))
+    return LAGS[int(np.argmin(left))]
 
 
 def _behind(channel: Channel, s: Structure, p: Array) -> list[Array]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from estimators.diagnosis.effects import Clock, named
 from estimators.diagnosis.effects.disturbances.added import OFFSET
@@ -20,6 +21,7 @@ from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.result.report import ErrorFigure
 from estimators.diagnosis.search.candidates import Menu, augmented
+from estimators.diagnosis.search.starts import quick_pole
 from oed.data import Record
 from tests.estimators.diagnosis.case_parts import linear
 from tests.estimators.diagnosis.test_diagnosis_classes import error, record
@@ -49,6 +51,25 @@ def _through(
     f = fit_linear(channel, replace(Structure(order).adding(Part(OFFSET)).adding(Part(INITIAL)), base=2))
     white = float(np.mean(f.residual**2))
     return channel, replace(f, noise=np.zeros(0), variance=white, deviance=f.n * np.log(white)), noise
+
+
+@pytest.mark.parametrize("order", [3, 4])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_curve_behind_a_lag_that_no_pole_of_the_linear_model_shows(order, seed):
+    """A valve's stem before its curve, two levels of input: with an order too many the linear model's poles have not the stem's."""
+    rng, tau = np.random.default_rng(seed), 2.3
+    u = np.repeat(np.sign(rng.standard_normal(90)), 15)
+    u[:15] = 0.0
+    stem = lfilter([1.0 - np.exp(-1.0 / tau)], [1.0, -np.exp(-1.0 / tau)], u)
+    y = lfilter([0.0, 0.014], np.poly(np.exp([-1.0 / 15.0, -1.0 / 4.0])), np.exp(0.73 * stem))
+    noise = 0.01 * float(np.std(y))
+    y = y + noise * rng.standard_normal(len(u))
+    channel = Channel(u[:, None], y, Clock(np.arange(1350.0), 1350), np.ones(1350, dtype=bool))
+    base = fit_linear(channel, replace(Structure(order).adding(Part(OFFSET)).adding(Part(INITIAL)), base=2))
+    curve = named("input_exponential")
+    assert 0.5 < -tau * np.log(quick_pole(channel, base, 0)) < 2.0
+    found = augmented(channel, base, Menu((curve, named("output_quadratic"))), top=1)
+    assert min(error(f) for f in found if f.structure.parts[-1].effect is curve) < 1.05 * noise
 
 
 def test_no_kin_is_asked_of_what_explains_the_record_nor_of_what_keeps_still(rng):
