@@ -122,6 +122,22 @@ def test_of_two_streams_the_twin_has_the_same_share(heard):
     np.testing.assert_allclose(_twin(model, u, [0.0, 0.0]), run, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    "key, q",
+    [("product_of_lags", [0.2, 1.5, 6.0, 0.4, 2.0, 0.9, power]) for power in (1.0, 2.0, 0.0, -1.0)]
+    + [("loss_by_lag", [0.3, 1.5, 6.0, 0.4, 0.6, rise, 2.0, 0.9, power, drive])
+       for rise, power, drive in ((0.1, 0.0, 0.0), (0.0, 1.0, 2.0), (0.0, 2.0, 1.0))],
+)  # fmt: skip
+def test_two_lags_meet_in_the_twin_as_in_the_simulation(key, q):
+    s = Structure(2, (0, 1)).adding(Part(named(key), 0))
+    answer = replace(named_answer("tf", [], {}), structure=s, p=np.array([*POLES["tf"], 0.05, 0.2, *q]))
+    model = DiagnosedModel((answer,), np.full(1, 0.1), 0.5, ("u1", "u2"), ("y1",))
+    u = np.hstack((_input(), np.roll(_input(), 40)))
+    run = model.simulate(u)
+    assert np.ptp(run) > 0.05
+    np.testing.assert_allclose(_twin(model, u, [0.0, 0.0]), run, rtol=1e-9, atol=1e-9)
+
+
 @pytest.mark.parametrize("heard", [(0,), (1,), (0, 1)])
 def test_inputs_that_share_a_supply_are_cut_back_in_the_twin_too(heard):
     """Also by an input that the output does not hear."""

@@ -20,6 +20,7 @@ from estimators.diagnosis.effects.sensing.gains import law_of
 from estimators.diagnosis.effects.sensing.turns import TOP
 from estimators.diagnosis.effects.symbols import terms
 from estimators.diagnosis.effects.symbols.loops import LOOPED
+from estimators.diagnosis.effects.symbols.meeting import MEETINGS
 from estimators.diagnosis.effects.symbols.wiring import Wiring
 
 Array = NDArray[Any]
@@ -267,12 +268,8 @@ def _in_own_time(which: str) -> Callable[[Wiring, Any, Array, Any], Any]:
         v, before, way, taken, since, last = (s.x[i] for i in range(6))
         since = ca.if_else(x == before, since, k)
         way = ca.if_else(x > before, 1.0, ca.if_else(x < before, -1.0, way))
-        due = ca.fmax(
-            ca.if_else(
-                way > 0.0, ca.fmax(since + starts_late, last + pause), ca.fmax(since + stops_late, last + run)
-            ),
-            k,
-        )
+        up, down = ca.fmax(since + starts_late, last + pause), ca.fmax(since + stops_late, last + run)
+        due = ca.fmax(ca.if_else(way > 0.0, up, down), k)
         waits = ca.if_else(way == taken, 0.0, ca.fmin(due - k, 1.0))
         turns = ca.logic_and(way != taken, waits < 1.0)
         s.after = ca.vertcat(
@@ -297,6 +294,7 @@ TIMED: Mapping[str, Callable[[Wiring, Any, Array, Any], Any]] = {
     "select_low": lambda w, x, p, k: w.ca.fmin(x, p[1] * w.u[int(p[0]) - 1] + p[2]),
     "select_high": lambda w, x, p, k: w.ca.fmax(x, p[1] * w.u[int(p[0]) - 1] + p[2]),
     "share": lambda w, x, p, k: x / (x + p[1] * w.u[int(p[0]) - 1]),
+    **MEETINGS,
 }
 """Of those that know the time, too, or another input."""
 
