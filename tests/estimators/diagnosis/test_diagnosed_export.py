@@ -125,7 +125,7 @@ def test_of_two_streams_the_twin_has_the_same_share(heard):
 @pytest.mark.parametrize(
     "key, q",
     [("product_of_lags", [0.2, 1.5, 6.0, 0.4, 2.0, 0.9, power]) for power in (1.0, 2.0, 0.0, -1.0)]
-    + [("loss_by_lag", [0.3, 1.5, 6.0, 0.4, 0.6, rise, 2.0, 0.9, power, drive])
+    + [("loss_by_lag", [0.3, -0.2, 1.5, 6.0, 0.4, 0.6, rise, 2.0, 0.9, power, drive])
        for rise, power, drive in ((0.1, 0.0, 0.0), (0.0, 1.0, 2.0), (0.0, 2.0, 1.0))],
 )  # fmt: skip
 def test_two_lags_meet_in_the_twin_as_in_the_simulation(key, q):

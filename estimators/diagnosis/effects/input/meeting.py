@@ -16,7 +16,6 @@ from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, lev
 from estimators.diagnosis.effects.profiled import (
     BEGUN,
     ENDED,
-    FIRM,
     MOST_FLOWS,
     firm,
     gained,
@@ -32,12 +31,15 @@ LAGS = (0.1, 2.0, 6.0, 18.0, 54.0)
 """Samples by which either input may lag, that are tried: a fit finds what lies between, and from none there is no way up."""
 QUICKEST, FASTEST = 0.01, 5.0
 """Lag in samples below which there is none, and rate per sample above which all has settled within one."""
+PROMISED = 40.0
+"""Likelihood ratio that the product of two lags must promise over the linear model: chance over those that are tried reaches 20."""
 TOLD = 3  # lags in samples of a product, behind the linear model's poles, that the residual is told by
-POWERS = (1.0, 2.0, 0.0, -1.0)
-"""Laws of a growth: in proportion, its square, an exponential, one over a falling line."""
-LOSSES = ((1.0, 0.0), (0.0, 0.0), (1.0, 1.0), (1.0, 2.0))
+POWERS = (1.0, 2.0, 0.5, 0.0, -1.0)
+"""Laws of a growth: in proportion, its square, its root, an exponential, one over a falling line."""
+LOSSES = ((1.0, 0.0), (0.0, 0.0), (1.0, 1.0), (1.0, 2.0), (2.0, 0.5))
 """Of what is lost at a rate that another input sets, the law of that rate, and with which power of it the input drives: with none where a
-reaction consumes or a stream cools, as fast where a flow carries both in and out, with the square where air flows by."""
+reaction consumes or a stream cools, as fast where a flow carries both in and out, with the square where air flows by; with
+the root of a loss by the square, where a field both drives and brakes a motor."""
 SLOPES = (-1.0, -0.4, 0.4, 1.0)
 """Of one over twice an input's standard deviation, the slopes of a loss that are tried."""
 RATES, OWN = (0.02, 0.06, 0.2, 0.6), (0.1, 4.0)
@@ -46,6 +48,7 @@ STEPS, LAST = 16, 3
 """Steps that a start is followed for, in which a lag may halve and double again, and starts that are fitted to the end."""
 HALF = 0.5  # of a loss, what an exponential is at first
 LEAST = 1e-300  # a size of an input without which no quotient is a number
+MOSTLY = 0.9  # of a loss, what another input at first sets, where that need not be all
 SLIGHT = 0.05  # of its spread, by which what is lost is at first taken to move the other input
 
 
@@ -68,20 +71,22 @@ def _product(U: Array, channel: int, p: Array, clock: Clock) -> Array:
 
 def lost_by(p: Array) -> Array | None:
     """(7,) the law of a loss; None where its rate or its share is none."""
-    law = np.array([abs(p[0]), p[3], p[4], p[5], p[7], p[8], p[9]])
+    law = np.array([abs(p[0]), *p[4:7], *p[8:11]])
     return law if 0.0 < law[0] < FASTEST and 0.0 < law[2] <= 1.0 else None
 
 
 def _lost(U: Array, channel: int, p: Array, clock: Clock) -> Array:
-    """p: rate, two lags, slope, share, rise; the other input, from 1, its centre, power and drive."""
+    """p: rate, level, two lags, slope, share, rise; the other input, from 1, its centre, power and drive."""
     from estimators.diagnosis.effects.kernels.meeting_kernels import at_rest, lost
 
-    (one, other), law = _pair(U, channel, p[6]), lost_by(p)
+    (one, other), law = _pair(U, channel, p[7]), lost_by(p)
     if law is None:
         return np.full(len(U), np.inf)
-    w, v = level_before(one), level_before(other)
+    w, v = level_before(one) - p[1], level_before(other)
     x, v = at_rest(w, v, law)
-    return lost(one, other, law, _lags(p[1:3]), (w, x, v)) if np.isfinite(x) else np.full(len(U), np.inf)
+    return (
+        lost(one - p[1], other, law, _lags(p[2:4]), (w, x, v)) if np.isfinite(x) else np.full(len(U), np.inf)
+    )
 
 
 def _late(x: Array, lag: float) -> Array:
@@ -172,26 +177,26 @@ def _losses(channel: Any, base: Any, j: int, k: int) -> Iterator[Any]:
     u, v = channel.u[:, j], channel.u[:, k]
     centre, size = float(np.mean(v)), float(np.std(v))
     rise = size / (float(np.std(u)) + abs(float(np.mean(u))) + LEAST)
-    part, tried = Part(LOSS_BY_LAG, j), []
-    for quick in quick_behind(channel, base)[:1]:
-        shapes = (
-            [rate, own, lag, slope / size, HALF if power == 0.0 else 1.0, 0.0, k + 1.0, centre, power, drive]
-            for (power, drive), rate, own, lag, slope in product(LOSSES, RATES, OWN, LAGS[:-1], SLOPES)
-        )
-        tried += [(left, q, quick) for left, q in profile(channel, quick, part, shapes)]
-    starts = []
+    part, quick = Part(LOSS_BY_LAG, j), quick_behind(channel, base)[0]
+    structure = quick.structure.adding(part)
+    shapes = (
+        [rate, 0.0, own, lag, slope / size, HALF if power == 0.0 else 1.0, 0.0, k + 1.0, centre, power, drive]
+        for (power, drive), rate, own, lag, slope in product(LOSSES, RATES, OWN, LAGS[:-1], SLOPES)
+    )
+    tried, starts = profile(channel, quick, part, shapes), []
     for law in LOSSES:
-        best = sorted((t for t in tried if tuple(t[1][-2:]) == law), key=lambda t: t[0])[:ENDED]
-        free = [0.05, 1.0, 1.0, 1.0 / size, 0.1 if law[0] == 0.0 else 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-        starts += [
-            (quick.structure.adding(part), q, np.concatenate((quick.scales, free))) for _, q, quick in best
-        ]
+        free = np.array([0.05, float(np.std(u)), 1.0, 1.0, 1.0 / size, 0.1 * (law[0] == 0.0), *np.zeros(5)])
+        best = [p for _, p in tried if tuple(p[-2:]) == law][:ENDED]
+        starts += [(structure, p, np.concatenate((quick.scales, free))) for p in best]
     for f in _ended(channel, base, starts):
         yield f
-        if f.p[-1] == 0.0:
-            p, scales, at = f.p.copy(), f.scales.copy(), f.structure.slices()[-1].start + 5
-            p[at], scales[at] = SLIGHT * rise, rise
-            yield fit(channel, f.structure, p, scales, noise=base.noise, iterations=30)
+        p, scales, own = f.p.copy(), f.scales.copy(), f.structure.slices()[-1]
+        scales[own][1] = float(np.std(u))
+        if p[-1] == 0.0:
+            p[own][6], scales[own][6] = SLIGHT * rise, rise
+        else:
+            p[own][5], scales[own][5] = MOSTLY, 0.1
+        yield fit(channel, f.structure, p, scales, noise=base.noise, iterations=30)
 
 
 def _searched(own: Any) -> Any:
@@ -203,7 +208,7 @@ def _searched(own: Any) -> Any:
             return
         moving = np.flatnonzero(np.ptp(U, axis=0)).tolist()
         for pair in combinations(moving, 2):
-            if not set(pair) & set(s.inputs) or _promises(channel, base, *pair) < FIRM:
+            if not set(pair) & set(s.inputs) or _promises(channel, base, *pair) < PROMISED:
                 continue
             for j, k in permutations(pair):
                 made = own(channel, base, j, k) if j in s.inputs else ()
@@ -222,7 +227,7 @@ LOSS_BY_LAG = Effect(
     key="loss_by_lag", cause="bilinear", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=300, alone=True,
     sentence="another input, behind a lag of its own, says how fast what this one drives is lost, and with it how strongly it drives: "
     "a reaction's temperature, a flow, an air speed",
-    parameters={"rate": "1/sample", "lag": "sample", "other_lag": "sample", "slope": "1/u", "share": "1", "rise": "1", "other": "1",
+    parameters={"rate": "1/sample", "level": "u", "lag": "sample", "other_lag": "sample", "slope": "1/u", "share": "1", "rise": "1", "other": "1",
                 "centre": "u", "power": "1", "drive": "1"},
     apply=lambda x, p, clock: x, signal=_lost, search=_searched(_losses),
 )  # fmt: skip

@@ -20,16 +20,16 @@ def _growth(ca: Any, d: Any, slope: float, power: float) -> Any:
     return base if power == 1.0 else base * base if power == 2.0 else ca.fmax(base, LOWEST) ** power
 
 
-def _left(p: Array) -> list[tuple[float, float]]:
+def _left(lags: Array) -> list[tuple[float, float]]:
     """Of what each lag has yet to go, the share that half a step and a whole one leave."""
     return [
         (float(np.exp(-0.5 / WITHIN / lag)), float(np.exp(-1.0 / WITHIN / lag)))
-        for lag in np.maximum(np.abs(p[1:3]), QUICKEST)
+        for lag in np.maximum(np.abs(lags), QUICKEST)
     ]
 
 
 def _product(w: Wiring, x: Any, p: Array, k: Any) -> Any:
-    other, ((half, whole), (beside, past)) = w.u[int(p[4]) - 1], _left(p)
+    other, ((half, whole), (beside, past)) = w.u[int(p[4]) - 1], _left(p[1:3])
     s, total = w.state([w.value(x), w.value(other)]), 0.0
     one, two = s.x[0], s.x[1]
     for _ in range(WITHIN):
@@ -41,11 +41,11 @@ def _product(w: Wiring, x: Any, p: Array, k: Any) -> Any:
 
 
 def _lost(w: Wiring, x: Any, p: Array, k: Any) -> Any:
-    other, law = w.u[int(p[6]) - 1], lost_by(p)
+    x, other, law = x - p[1], w.u[int(p[7]) - 1], lost_by(p)
     if law is None:
         w.refuse("its loss has no rate or no share", "simulate it")
     rate, slope, share, rise, centre, power, drive = law
-    (half, whole), (beside, past) = _left(p)
+    (half, whole), (beside, past) = _left(p[2:4])
     before, ca = w.value(x), w.ca
     level, two = at_rest(before, w.value(other), law)
     s, h = w.state([before, level, two]), 1.0 / WITHIN
