@@ -92,3 +92,10 @@ def test_nothing_is_looked_for_with_one_input_or_where_a_linear_model_leaves_no_
     for effect in MEETING:
         search = effect.search or pytest.fail(f"{effect.key} has no search of its own")
         assert not list(search(channel, base, ()))
+
+
+@pytest.mark.parametrize(("key", "size"), [("product_of_lags", 7), ("loss_by_lag", 11)])
+def test_a_fit_that_has_lost_its_numbers_is_not_admitted(key, size):
+    """A room with a wall's mass: a fit ended without numbers, and no input has none for its own."""
+    out = named(key).signal(_levels(3), 0, np.full(size, np.nan), Clock(np.arange(60.0), 60))  # pyright: ignore[reportOptionalCall]
+    assert np.all(np.isinf(out))

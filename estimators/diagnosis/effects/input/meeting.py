@@ -64,24 +64,26 @@ def _product(U: Array, channel: int, p: Array, clock: Clock) -> Array:
     """p: level, two lags, slope; the other input, from 1, its centre, the power."""
     from estimators.diagnosis.effects.kernels.meeting_kernels import met
 
+    if not np.all(np.isfinite(p)):
+        return np.full(len(U), np.inf)
     one, other = _pair(U, channel, p[4])
     law = np.array([p[0], p[3], p[5], p[6]])
     return met(one, other, law, _lags(p[1:3]), (level_before(one), level_before(other)))
 
 
 def lost_by(p: Array) -> Array | None:
-    """(7,) the law of a loss; None where its rate or its share is none."""
+    """(7,) the law of a loss; None where its rate or its share is none, or a number is missing."""
     law = np.array([abs(p[0]), *p[4:7], *p[8:11]])
-    return law if 0.0 < law[0] < FASTEST and 0.0 < law[2] <= 1.0 else None
+    return law if np.all(np.isfinite(p)) and 0.0 < law[0] < FASTEST and 0.0 < law[2] <= 1.0 else None
 
 
 def _lost(U: Array, channel: int, p: Array, clock: Clock) -> Array:
     """p: rate, level, two lags, slope, share, rise; the other input, from 1, its centre, power and drive."""
     from estimators.diagnosis.effects.kernels.meeting_kernels import at_rest, lost
 
-    (one, other), law = _pair(U, channel, p[7]), lost_by(p)
-    if law is None:
+    if (law := lost_by(p)) is None:
         return np.full(len(U), np.inf)
+    one, other = _pair(U, channel, p[7])
     w, v = level_before(one) - p[1], level_before(other)
     x, v = at_rest(w, v, law)
     return (
