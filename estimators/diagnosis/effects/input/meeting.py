@@ -33,6 +33,7 @@ QUICKEST, FASTEST = 0.01, 5.0
 """Lag in samples below which there is none, and rate per sample above which all has settled within one."""
 PROMISED = 40.0
 """Likelihood ratio that the product of two lags must promise over the linear model: chance over those that are tried reaches 20."""
+LEAST_LAG, AT_ONCE = 0.5, 3.0  # lag in samples that is one, and rate per sample of a loss that is at once
 TOLD = 3  # lags in samples of a product, behind the linear model's poles, that the residual is told by
 POWERS = (1.0, 2.0, 0.5, 0.0, -1.0)
 """Laws of a growth: in proportion, its square, its root, an exponential, one over a falling line."""
@@ -201,6 +202,12 @@ def _losses(channel: Any, base: Any, j: int, k: int) -> Iterator[Any]:
         yield fit(channel, f.structure, p, scales, noise=base.noise, iterations=30)
 
 
+def _remembers(f: Any) -> bool:
+    """Whether either input of a product lags, and a loss takes its time: else it is the product of two inputs, which has its own name."""
+    part, q = f.structure.parts[-1], np.abs(f.p[f.structure.slices()[-1]])
+    return bool(q[0] < AT_ONCE if part.effect is LOSS_BY_LAG else max(q[1:3]) > LEAST_LAG)
+
+
 def _searched(own: Any) -> Any:
     """The search of every two inputs whose lags' product promises something."""
 
@@ -214,7 +221,8 @@ def _searched(own: Any) -> Any:
                 continue
             for j, k in permutations(pair):
                 made = own(channel, base, j, k) if j in s.inputs else ()
-                yield from lean(channel, (f for f in made if firm(base, float(np.sum(f.residual**2)))))
+                better = (f for f in made if firm(base, float(np.sum(f.residual**2))))
+                yield from (f for f in lean(channel, better) if _remembers(f))
 
     return search
 
