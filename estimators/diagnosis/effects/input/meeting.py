@@ -32,7 +32,7 @@ LAGS = (0.1, 2.0, 6.0, 18.0, 54.0)
 QUICKEST, FASTEST = 0.01, 5.0
 """Lag in samples below which there is none, and rate per sample above which all has settled within one."""
 PROMISED = 40.0
-"""Likelihood ratio that the product of two lags must promise over the linear model: chance over those that are tried reaches 20."""
+"""Likelihood ratio that the product of two lags must promise over products at once: chance over those that are tried reaches 20."""
 LEAST_LAG, AT_ONCE = 0.5, 3.0  # lag in samples that is one, and rate per sample of a loss that is at once
 TOLD = 3  # lags in samples of a product, behind the linear model's poles, that the residual is told by
 POWERS = (1.0, 2.0, 0.5, 0.0, -1.0)
@@ -101,18 +101,22 @@ def _late(x: Array, lag: float) -> Array:
 
 
 def _promises(channel: Any, base: Any, j: int, k: int) -> float:
-    """The largest likelihood ratio that products of two lags promise behind the linear model's poles, its parameters taken out."""
+    """The largest likelihood ratio that products of two lags, bent or not, promise behind the linear model's poles over that of products
+    at once, its parameters taken out: what needs no lag has names of its own."""
     s, (r, Q) = base.structure, left_over(channel, base)
     noise, keep = np.concatenate(([1.0], base.noise)), channel.keep
-    den, most = np.concatenate(([1.0], base.p[: s.order])), 0.0
-    ones, others = ([_late(channel.u[:, i] - np.mean(channel.u[:, i]), lag) for lag in LAGS] for i in (j, k))
-    for one, other in product(ones, others):
-        x = np.asarray(lfilter(noise, den, one * other - np.mean(one * other)))
-        X = np.where(keep[:, None], delayed(x[:, None], range(1, TOLD + 1)), 0.0)
+    den = np.concatenate(([1.0], base.p[: s.order]))
+
+    def promised(w: Array, v: Array) -> float:
+        bent = (lfilter(noise, den, z - np.mean(z))[:, None] for z in (w * v, w * v**2, w**2 * v))
+        X = np.where(keep[:, None], np.hstack([delayed(x, range(1, TOLD + 1)) for x in bent]), 0.0)
         X -= Q @ (Q.T @ X)
         left = r - X @ np.linalg.lstsq(X, r, rcond=1e-9)[0]
-        most = max(most, gained(base.n, float(r @ r), float(left @ left)))
-    return most
+        return gained(base.n, float(r @ r), float(left @ left))
+
+    one, other = (channel.u[:, i] - np.mean(channel.u[:, i]) for i in (j, k))
+    late = ([_late(x, lag) for lag in LAGS] for x in (one, other))
+    return max(promised(w, v) for w, v in product(*late)) - promised(one, other)
 
 
 def _met(channel: Any, base: Any, j: int, k: int) -> list[tuple[float, Array]]:
