@@ -295,7 +295,7 @@ def quick_pole(channel: Channel, base: Fit, j: int) -> float:
     x = (x - x[channel.keep].mean()) / (x[channel.keep].std() + 1e-300)
     y, left = channel.y - channel.y[channel.keep].mean(), []
     for pole in LAGS:
-        z = lfilter([1.0 - pole], [1.0, -pole], x)
+        z = np.asarray(lfilter([1.0 - pole], [1.0, -pole], x))
         U = np.column_stack((channel.u[:, list(s.inputs)], z, z**2, z**3))
         U -= U[channel.keep].mean(axis=0)
         f = np.concatenate(([1.0], fresh_poles(y, U, s, channel.keep, begun=True)))

@@ -1,11 +1,14 @@
 """Two inputs that meet behind lags of their own: the compiled loops against fine steps, what is found, and where nothing is looked for."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from estimators.diagnosis.effects import named
 from estimators.diagnosis.effects.effect import Clock
-from estimators.diagnosis.effects.input.meeting import MEETING, lost_by
+from estimators.diagnosis.effects.input.meeting import MEETING, PROMISED, _promises, lost_by
 from estimators.diagnosis.effects.kernels.meeting_kernels import at_rest, growth
 from estimators.diagnosis.model.fitting import Channel
 from estimators.diagnosis.model.linear import fit_linear
@@ -92,6 +95,18 @@ def test_nothing_is_looked_for_with_one_input_or_where_a_linear_model_leaves_no_
     for effect in MEETING:
         search = effect.search or pytest.fail(f"{effect.key} has no search of its own")
         assert not list(search(channel, base, ()))
+
+
+def test_two_inputs_that_meet_at_once_promise_nothing_of_lags(rng):
+    """A thrust through an angle, before a plant that lags: a product with a bent input, which has names of its own."""
+    u = np.repeat(rng.uniform(0.2, 1.4, (100, 2)), 12, axis=0)
+    y = lfilter([0.0, 0.1], [1.0, -0.9], u[:, 0] * np.cos(u[:, 1])) + 0.005 * rng.standard_normal(1200)
+    channel = Channel(u, np.asarray(y), Clock(np.arange(1200.0), 1200), np.ones(1200, dtype=bool))
+    assert _promises(channel, fit_linear(channel, Structure(2, (0, 1))), 0, 1) < 0.25 * PROMISED
+    late = np.column_stack((u[:, 0], lfilter([0.1], [1.0, -0.9], u[:, 1])))
+    y = lfilter([0.0, 0.1], [1.0, -0.9], late[:, 0] * np.cos(late[:, 1])) + 0.005 * rng.standard_normal(1200)
+    channel = replace(channel, y=np.asarray(y))
+    assert _promises(channel, fit_linear(channel, Structure(2, (0, 1))), 0, 1) > 2.0 * PROMISED
 
 
 @pytest.mark.parametrize(("key", "size"), [("product_of_lags", 7), ("loss_by_lag", 11)])

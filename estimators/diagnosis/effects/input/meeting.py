@@ -108,7 +108,7 @@ def _promises(channel: Any, base: Any, j: int, k: int) -> float:
     den = np.concatenate(([1.0], base.p[: s.order]))
 
     def promised(w: Array, v: Array) -> float:
-        bent = (lfilter(noise, den, z - np.mean(z))[:, None] for z in (w * v, w * v**2, w**2 * v))
+        bent = (np.asarray(lfilter(noise, den, z - np.mean(z)))[:, None] for z in (w * v, w * v**2, w**2 * v))
         X = np.where(keep[:, None], np.hstack([delayed(x, range(1, TOLD + 1)) for x in bent]), 0.0)
         X -= Q @ (Q.T @ X)
         left = r - X @ np.linalg.lstsq(X, r, rcond=1e-9)[0]
