@@ -26,17 +26,16 @@ def models(pair):
     y = lfilter([0.0, 0.1, 0.1], [1.0, -1.5, 0.7], np.clip(u, -0.75, 0.75)) + 0.05 * rng.standard_normal(n)
     channel = Channel(u[:, None], y, Clock(np.arange(float(n)), n), np.ones(n, dtype=bool))
     base = fit_linear(channel, Structure(2))
-    found = {
-        f.structure.parts[-1].key: f
-        for f in augmented(channel, base, Menu(tuple(named(key) for key in pair)))
-    }
-    return channel, [found[key] for key in pair]
+    found = list(augmented(channel, base, Menu(tuple(named(key) for key in pair))))
+    of = lambda key: (f for f in found if f.structure.parts[-1].key == key)
+    return channel, [min(of(key), key=lambda f: f.criterion) for key in pair]
 
 
 @pytest.mark.parametrize("pair", PAIRS)
 def test_designed_input_keeps_its_limits_and_beats_the_others(pair):
     _, (a, b) = models(pair)
-    design = discriminate(a, b, length=200, amplitude=2.0, rng=np.random.default_rng(1), rounds=4, size=10)
+    # play behind a lag and a dead zone that hardly acts are nearly the same: few inputs tell them apart, and a short search misses them
+    design = discriminate(a, b, length=200, amplitude=2.0, rng=np.random.default_rng(1), rounds=8, size=30)
     assert np.max(np.abs(design.u)) <= 2.0 + 1e-12
     assert design.distance == pytest.approx(distance(a, b, design.u))
     assert design.distance > 1.2 * max(design.white, design.multisine)
