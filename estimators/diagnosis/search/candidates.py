@@ -262,7 +262,9 @@ def _lagged_fits(channel: Channel, base: Fit, found: list[Fit], iterations: int)
     near = [f for f in able if f.deviance <= least][:LAGGED]
     # Behind a lag, a curve explains nothing until the lag stands before it.
     curve = next((f for f in able if f.structure.parts[-1].effect.static), able[0])
-    for f in near if curve in near else [*near, curve]:
+    tried = near if curve in near else [*near, curve]
+    quick = {j: quick_pole(channel, base, j) for j in {f.structure.parts[-1].channel for f in tried}}
+    for f in tried:
         best, source = None, f
         for _ in range(RENEWALS if f is able[0] else 1):
             again = _with_fresh_poles(
@@ -275,7 +277,7 @@ def _lagged_fits(channel: Channel, base: Fit, found: list[Fit], iterations: int)
         new = replace(f.structure, parts=(*f.structure.parts[:-1], replace(part, first=1)))
         behind = [
             _with_fresh_poles(channel, f, np.insert(source.p, at, -pole), np.insert(f.scales, at, 1.0), new, np.inf, iterations)
-            for pole in [*real, quick_pole(channel, base, part.channel)]
+            for pole in [*real, quick[part.channel]]
         ]  # fmt: skip
         yield from ([] if best is None else _bent(channel, best))
         yield from _least(g for g in behind if g is not None)

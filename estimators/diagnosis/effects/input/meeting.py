@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot, level_before
+from estimators.diagnosis.effects.loops.ageing import leaky
 from estimators.diagnosis.effects.profiled import (
     BEGUN,
     ENDED,
@@ -94,10 +95,7 @@ def _lost(U: Array, channel: int, p: Array, clock: Clock) -> Array:
 
 def _late(x: Array, lag: float) -> Array:
     """A signal behind a lag that had settled on its level before."""
-    if lag <= QUICKEST:
-        return x
-    near, level = float(np.exp(-1.0 / lag)), level_before(x)
-    return level + np.asarray(lfilter([1.0 - near], [1.0, -near], x - level))
+    return x if lag < 1.0 else leaky(x, lag)
 
 
 def _promises(channel: Any, base: Any, j: int, k: int) -> float:
