@@ -64,7 +64,7 @@ def _swings(effect: Callable[[], Effect]) -> Callable[..., Iterator[Any]]:
     """Starts of a pendulum: the model's oscillation, one of its real poles as a block before it, several sizes of the swing."""
 
     def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-        from estimators.diagnosis.model.fitting import fit
+        from estimators.diagnosis.model.fitting import fit, grown
         from estimators.diagnosis.model.structure import Part
         from estimators.diagnosis.search.starts import fitted
 
@@ -87,10 +87,15 @@ def _swings(effect: Callable[[], Effect]) -> Callable[..., Iterator[Any]]:
                     part = Part(effect(), inputs[0], first=1 if block else 0, free=bool(block))
                     starts += _swung(channel, few.adding(part), rates, np.array(block), gains)
         most = FAR * float(base.residual @ base.residual) if len(s.inputs) > 1 else np.inf
-        starts = sorted((x for x in starts if -x.promise < most), key=lambda x: -x.promise)[:FEW]
-        quick = sorted(fitted(channel, base, starts, 5), key=lambda f: f.deviance)[:2]
-        for f in quick:
-            g = fit(channel, f.structure, f.p, f.scales, noise=f.noise, iterations=30)
+        starts = sorted((x for x in starts if -x.promise < most), key=lambda x: -x.promise)
+        quick = sorted(fitted(channel, base, starts[:FEW], 5), key=lambda f: f.deviance)[:2]
+        begun = [(f.deviance, f.structure, f.p) for f in quick]
+        for new in dict.fromkeys(x.structure for x in starts):
+            of = [(x.p, x.scales) for x in starts if x.structure == new]
+            begun += [(deviance, new, p) for deviance, p in grown(channel, new, of)]
+        scales = {x.structure: x.scales for x in starts}
+        for _, new, p in sorted(begun, key=lambda x: x[0])[:2]:
+            g = fit(channel, new, p, scales[new], noise=base.noise, iterations=30)
             if g.p[1] - 0.5 * g.p[0] < np.log(2.0 * DAMPED):  # logarithms of damping and stiffness
                 yield g
 
