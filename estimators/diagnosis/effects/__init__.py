@@ -7,6 +7,7 @@ from estimators.diagnosis.effects.disturbances import ADDED, NOISE, STEPWISE
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Sizes, Slot
 from estimators.diagnosis.effects.fed import PRODUCT, SEVERAL
 from estimators.diagnosis.effects.input import INPUT
+from estimators.diagnosis.effects.input.capacities import CAPACITIES
 from estimators.diagnosis.effects.input.meeting import MEETING
 from estimators.diagnosis.effects.loops import LOOPS
 from estimators.diagnosis.effects.loops.ageing import AGED
@@ -23,7 +24,7 @@ from oed.errors import InputError
 __all__ = ["CATALOGUE", "Clock", "Effect", "Nature", "Sizes", "Slot", "named"]
 
 CATALOGUE: tuple[Effect, ...] = (
-    *INPUT, *PROFILED, *LOOPS, *PROCESS, *SEVERAL, *MEETING, *PLANT, *ROTATION, *MODULATED, *AGED, *PATH, PRODUCT, *STORE, *OUTPUT, *FOLDING, *SENSORS, *TIMING, *ADDED, *STEPWISE, *NOISE,
+    *INPUT, *PROFILED, *LOOPS, *PROCESS, *CAPACITIES, *SEVERAL, *MEETING, *PLANT, *ROTATION, *MODULATED, *AGED, *PATH, PRODUCT, *STORE, *OUTPUT, *FOLDING, *SENSORS, *TIMING, *ADDED, *STEPWISE, *NOISE,
 )  # fmt: skip
 """Every effect that the diagnosis knows; hand in more with `diagnose(..., effects=[*CATALOGUE, mine])`."""
 

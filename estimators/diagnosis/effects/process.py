@@ -15,8 +15,8 @@ from scipy.optimize import brentq
 
 from estimators.diagnosis.effects.effect import Clock, Effect, Grid, Nature, Sizes, Slot, level_before
 from estimators.diagnosis.effects.input import kept
-from estimators.diagnosis.effects.loops import PACES, slowest_rate
-from estimators.diagnosis.effects.profiled import BEGUN, ENDED, MOST_FLOWS, ended, firm, profiled_behind
+from estimators.diagnosis.effects.loops import PACES
+from estimators.diagnosis.effects.profiled import BEGUN, ENDED, ended, firm, profiled_behind
 from estimators.residual.algebra import powers_of_two
 
 Array = NDArray[Any]
@@ -26,16 +26,8 @@ INSTANT = 3.0
 # first step towards a rest in sizes of the input, and how often it is doubled: as far as it matters
 NEAR, DOUBLINGS = (1e-3, 20)
 ROOT = 2e-12  # share of a level to which it is found
-WARM, HEATS, SLOW, MOST_WARM = (-0.6, 0.8), (0.3, 1.5), (0.05, 0.2), 20.0
-"""Of a loss that its own power warms: share by which it changes in the end, heat for the mean power, time constants in records,
-that are tried; and the largest share."""
-SLOWER = 0.3
-"""Of a process' rate, that of a slow state may be: as quick as the process, it is a curve of it."""
 NEARBY = 25.0
 """Times the linear model's squares, which may have poles that imitate a process, within which its shapes are worth a fit."""
-CONTENTS = (-0.6, 0.5, 1.5, 4.0, 10.0)
-"""Relative changes over the record of what a capacity had at its start."""
-FILLS = 0.5  # of all that flows, what must be net for something to be filled or emptied
 BUMPS = ((3.0, 0.0, 0.4), (3.0, -0.7, 0.4), (3.0, 0.7, 0.4), (2.0, -1.5, 2.0), (2.0, 1.5, 2.0))
 """Of a capacity that depends on the level: how much more it is at most, where, and how wide that is, in standard deviations of the input."""
 GROWS = ([1.0, 0.0], [0.0, 1.0], [0.0, 20.0], [-0.6, 0.2])
@@ -51,6 +43,10 @@ SLIPPED, LOADS = (0.15, 0.4, 1.0), (0.02, 0.1, 0.3)
 """Of the input's standard deviation, the slip of most torque; the load, over the torque's slope where nothing slips."""
 WEAKENED = (0.05, 0.15, 0.3, 0.5, 0.8)
 """Of the largest input's square, the power in its units, that is tried: at one, the largest input is limited at its own end alone."""
+DRAGGED = (0.3, 2.0, 10.0)  # drag over what rolls, at the input's level, that is tried
+EVERY, QUICKLY = 18, 8
+"""Starts of a drag, all of them, and the steps by which they are told apart: a score of the linear model says nothing of the right one."""
+STILL = 0.1  # speed below which a drive gives a force and no power, in those at which drag is as large as what rolls
 LEAST = 1e-300  # a difference that no quotient by it leaves without a number
 LEAST_FLOW = 1e-3  # of the mean flow: what stands still takes for ever
 
@@ -72,6 +68,11 @@ def _exchange(p, v, u, q, s, c):
 
 def _limited_power(p, v, u, q, s, c):
     return u - u * np.minimum(1.0, np.abs(c[0]) / np.maximum(u * p, LEAST))  # brakes are not limited
+
+
+def _by_power(p, v, u, q, s, c):
+    x = np.abs(p / c[0])  # speed, in those at which drag is as large as what rolls
+    return u - p - (u - p - p * x**2) / np.maximum(x, STILL)
 
 
 def _rest(force: Callable[..., Any], u: float, c: Array, start: float) -> float:
@@ -201,37 +202,6 @@ def _through_flow(x: Array, p: Array, clock: Clock) -> Array:
     return np.interp(entered, np.arange(-1, len(x)), np.concatenate((heated[:1], heated)))
 
 
-def _warming(x: Array, p: Array) -> Array:
-    from estimators.diagnosis.effects.kernels.recursion_kernels import warmed
-
-    rate, share, heat, pace = abs(float(p[0])), float(p[1]), abs(float(p[2])), abs(float(p[3]))
-    if not (0.0 < rate < FASTEST and pace < SLOWER * rate and -1.0 < share < MOST_WARM):
-        return np.full(len(x), np.inf)
-    return warmed(x, rate, share, np.array([heat, pace]), level_before(x))
-
-
-def _filled(U: Array, channel: int, p: Array, clock: Clock) -> Array:
-    """A capacity at one input that another, the one p[-1] counted from 1, fills or empties."""
-    from estimators.diagnosis.effects.kernels.recursion_kernels import filled
-
-    if not 0.0 < abs(p[0]) < FASTEST:
-        return np.full(len(U), np.inf)
-    x, flow = (np.ascontiguousarray(U[:, j]) for j in (channel, int(p[-1]) - 1))
-    return filled(x, flow, np.array([abs(p[0]), *p[1:4], level_before(x), level_before(flow)]), clock.lead)
-
-
-def _warmings(rates: list[float], u: Array) -> Iterator[list[float]]:
-    power, n = float(np.mean(u**2)) + 1e-300, len(u)
-    for rate, share, heat, m in product(rates, WARM, HEATS, SLOW):
-        yield [rate, share, heat / power, 1.0 / (m * n)]
-
-
-def _fillings(slowest: float, u: Array, flow: Array, which: int) -> Iterator[list[float]]:
-    filled, size = float(np.sum(flow)), float(np.mean(u)) + float(np.std(u))
-    for faster, change, (bring, carry) in product(PACES, CONTENTS, ((0, 0), (0, 1), (1, 1), (-1, 1))):
-        yield [faster * slowest, change / filled, bring * size, float(carry), which + 1.0]
-
-
 def profiled_fits(
     channel: Any, base: Any, part: Any, shapes: Iterable[list[float]], sizes: list[float]
 ) -> Iterator[Any]:
@@ -242,46 +212,26 @@ def profiled_fits(
         yield from (f for f in fits if firm(base, float(np.sum(f.residual**2))))
 
 
-def _warm(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """Every input, at the rates of the linear model's poles and of most rigs: its slowest may stand for the heat."""
-    from estimators.diagnosis.model.structure import Part
-    from estimators.diagnosis.search.starts import sizes_of
-
-    s, n = base.structure, len(channel)
-    for j in s.inputs if s.layout == "tf" and s.order else ():
-        u, part = channel.u[:, j], Part(WARMED, j)
-        rates = sizes_of(channel, base, part).rates
-        sizes = [max(rates), 1.0, 1.0 / (float(np.mean(u**2)) + 1e-300), 10.0 / n]
-        yield from profiled_fits(channel, base, part, _warmings(rates, u), sizes)
-
-
-def _powers(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """Every input, before the linear model's poles and before a quick linear part: its slowest may be quicker than what is driven."""
-    from estimators.diagnosis.model.structure import Part
-    from estimators.diagnosis.search.starts import fitted, scored, sizes_of
-
-    s = base.structure
-    for j in s.inputs if s.layout == "tf" and s.order else ():
-        part = Part(POWERED, j)
-        yield from fitted(channel, base, scored(channel, base, part, ENDED).starts, 30)
-        shapes, sizes = _weakened(sizes_of(channel, base, part))
-        quicker = ([pace * rate, power] for pace, (rate, power) in product(PACES, shapes))
-        yield from profiled_fits(channel, base, part, (q for q in quicker if q[0] < FASTEST), sizes)
-
-
-def _driven(effect: Callable[[], Effect]) -> Callable[..., Iterator[Any]]:
-    """The search of a process behind a lag of its own: every input, before the linear model's poles and before a quick linear part."""
+def _driven(
+    effect: Callable[[], Effect], paces: tuple[float, ...] = (1.0,), most: int = ENDED
+) -> Callable[..., Iterator[Any]]:
+    """The search of what is driven: every input, before the linear model's poles and before a quick linear part, at so many times the rates
+    of its starts, as the linear model's slowest pole may be quicker; `most` of its starts are told apart by a few steps."""
 
     def search(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
+        from estimators.diagnosis.model.fitting import fit
         from estimators.diagnosis.model.structure import Part
         from estimators.diagnosis.search.starts import fitted, scored, sizes_of
 
         s = base.structure
         for j in s.inputs if s.layout == "tf" and s.order else ():
             part = Part(effect(), j)
-            yield from fitted(channel, base, scored(channel, base, part, ENDED).starts, 30)
+            begun = fitted(channel, base, scored(channel, base, part, most).starts, QUICKLY)
+            for f in sorted(begun, key=lambda f: f.deviance)[:ENDED]:
+                yield fit(channel, f.structure, f.p, f.scales, noise=f.noise, iterations=30)
             shapes, sizes = part.effect.starts(sizes_of(channel, base, part))  # pyright: ignore[reportOptionalCall]
-            yield from profiled_fits(channel, base, part, shapes, sizes)
+            tried = ([pace * rate, *c] for pace, (rate, *c) in product(paces, shapes))
+            yield from profiled_fits(channel, base, part, tried, sizes)
 
     return search
 
@@ -307,34 +257,6 @@ def _weakened(s: Sizes) -> Grid:
     return _shapes(s, *([share] for share in WEAKENED), sizes=[float(np.max(np.abs(s.u))) ** 2])
 
 
-def _capacities(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
-    """Every input with every flow that fills more than it takes back."""
-    from estimators.diagnosis.model.structure import Part
-    from estimators.diagnosis.search.free_runs import denominator
-
-    s = base.structure
-    if s.layout != "tf" or s.order < 1 or len(s.inputs) > MOST_FLOWS:
-        return
-    slowest = slowest_rate(denominator(base), len(channel))
-    for j, i in product(s.inputs, s.inputs):
-        u, flow = channel.u[:, j], channel.u[:, i]
-        if abs(total := float(np.sum(flow))) > FILLS * float(np.sum(np.abs(flow))):
-            sizes = [slowest, 1.0 / abs(total), float(np.std(u)) + abs(float(np.mean(u))), 1.0, 0.0]
-            yield from profiled_fits(channel, base, Part(FILLED, j), _fillings(slowest, u, flow, i), sizes)
-
-
-FILLED = Effect(
-    key="capacity_filled", cause="filling_capacity", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=100, alone=True,
-    sentence="a flow fills what the input acts on, or empties it: the time constant follows the flow's integral since the record began",
-    parameters={"rate": "1/sample", "fill": "1/(u sample)", "bring": "u", "carry": "1", "flow": "1"},
-    apply=lambda x, p, clock: _filled(x[:, None], 0, np.array([*p[:4], 1.0]), clock), signal=_filled, search=_capacities,
-)  # fmt: skip
-WARMED = Effect(
-    key="loss_heat", cause="slow_hidden_state", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=60, alone=True, family="heat",
-    sentence="the loss changes with a slow state that its own power feeds: oil, a winding that warms",
-    parameters={"rate": "1/sample", "share": "1", "heat": "1/u^2", "pace": "1/sample"},
-    apply=lambda x, p, clock: kept(_warming, x, p), search=_warm,
-)  # fmt: skip
 THROUGH = _process(
     "through_flow", "flow_dependent_delay", "the input is a flow: the residence time and the delay fall with it", _exchange,
     {"volume": "u sample"}, lambda s: (
@@ -344,7 +266,13 @@ THROUGH = _process(
 
 POWERED = _process(
     "power_limited", "state_saturation", "its power is limited: what drives it is the weaker the faster it is, a vehicle, a winch",
-    _limited_power, {"power": "u^2"}, _weakened, search=_powers,
+    _limited_power, {"power": "u^2"}, _weakened, search=_driven(lambda: POWERED, PACES),
+)  # fmt: skip
+BY_POWER = _process(
+    "driven_by_power", "nonlinear_drag", "its input is a power: what drives it is power over speed, against a drag that grows with speed",
+    _by_power, {"even": "u"}, lambda s: ([[r * np.sqrt(g) / (1.0 + 3.0 * g), (s.level + s.su) / (1.0 + g) / np.sqrt(g)]
+                                          for r in s.rates for g in DRAGGED], [max(s.rates), s.level + s.su]),
+    search=_driven(lambda: BY_POWER, most=EVERY),
 )  # fmt: skip
 
 CHECKED = _process(
@@ -393,7 +321,6 @@ PROCESS = (
     CHECKED,
     PULLED,
     POWERED,
+    BY_POWER,
     THROUGH,
-    FILLED,
-    WARMED,
 )  # fmt: skip

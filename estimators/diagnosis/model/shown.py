@@ -37,11 +37,19 @@ BEGUN, ENDED = 8, 25
 
 
 def as_shown(
-    channel: Channel, base: Fit, y: Array, seen: NDArray[np.bool_], later: tuple[int, ...] = (0,)
+    channel: Channel,
+    base: Fit,
+    y: Array,
+    seen: NDArray[np.bool_],
+    later: tuple[int, ...] = (0,),
+    begins: int = 1,
 ) -> Iterator[Fit]:
-    """Linear fits to a signal (N,) where it was `seen`, one for each number of poles and each delay, `later` than the linear model's."""
+    """Linear fits to a signal (N,) where it was `seen`, one for each number of poles and each delay, `later` than the linear model's.
+
+    The first samples, so many as it `begins` with, hold the start whether or not they were seen.
+    """
     s = base.structure
-    begun = replace(channel, y=y).without(~seen & (np.arange(len(y)) > 0))  # the first sample holds the start
+    begun = replace(channel, y=y).without(~seen & (np.arange(len(y)) >= begins))
 
     def fitted(s: Structure) -> Fit:
         # what is bridged tells the poles, roughly

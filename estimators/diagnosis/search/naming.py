@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from estimators.diagnosis.effects import Nature, named
+from estimators.diagnosis.effects.input.capacities import FILLED
 from estimators.diagnosis.effects.loops.ageing import WORN
 from estimators.diagnosis.effects.loops.recycled import RECYCLE
 from estimators.diagnosis.effects.path import STORE_CURVE
 from estimators.diagnosis.effects.plant import MOVING, SWINGS
-from estimators.diagnosis.effects.process import CHECKED, FILLED, PULLED, THROUGH, at_once
+from estimators.diagnosis.effects.process import CHECKED, PULLED, THROUGH, at_once
 from estimators.diagnosis.effects.sensing.folding import RECTIFIED
 from estimators.diagnosis.model.errors import parameters_of
 from estimators.diagnosis.model.fitting import Channel, Fit, fit

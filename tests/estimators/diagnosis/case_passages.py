@@ -51,6 +51,13 @@ def tram(u, a):
     return linear(process(lambda x, v: 0.06 * (pull(x, v) - x), u, 0.0))
 
 
+def ridden(u, a):
+    """A bicycle and its rider's power: force is power over speed, against what rolls and the drag of the air; it begins at its speed."""
+    spare = lambda x, power: power - 0.3 * x - 0.05 * x**3
+    start = float(np.real(np.roots([0.05, 0.0, 0.3, -u[0]])[-1])) if a else u[0]
+    return linear(process(lambda x, v: 0.06 * (spare(x, v) / max(x, 0.2) if a else v - x), u, start))
+
+
 def coil(u, a):
     """A spool that grows with every turn that it winds."""
     through = np.cumsum(u) - 0.5 * u
@@ -211,7 +218,7 @@ _FLOW = {"mean": 4.0, "size": 1.2}
 PASSAGES = {
     # effect: maker, order of the linear model, form of the input
     "exposure": (heated_tube, 2, _FLOW), "exposure_carried": (hot_stream, 2, _FLOW | {"inputs": 2}), "exposure_walled": (steam, 2, _FLOW | {"inputs": 2}),
-    "power_limited": (tram, 3, {"hold": 25}), "gain_worn of a coil": (coil, 2, {"mean": 4.0}), "input_bit": (coded, 2, {}),
+    "power_limited": (tram, 3, {"hold": 25}), "driven_by_power": (ridden, 3, {"mean": 3.0, "hold": 25}), "gain_worn of a coil": (coil, 2, {"mean": 4.0}), "input_bit": (coded, 2, {}),
     "capacity_level": (funnel, 3, {"mean": 4.0, "size": 1.5}), "output_hyperbola": (gap, 2, {}),
     "loss_periodic": (aired, 2, {"mean": 4.0}), "refreshed of an analyser": (analysed, 2, {}),
     "stiffness_worked": (rubber, 2, {}), "damping_worked": (damper, 2, {}),

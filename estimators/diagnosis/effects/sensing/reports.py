@@ -1,6 +1,7 @@
 """Sensors that report a change of more than a least step, and stand in between; some report at fixed times besides."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,11 @@ from estimators.diagnosis.record.measurement import STILL
 Array = NDArray[Any]
 REPORTS = 20
 """Moves of the reading at least, of a sensor that reports changes only."""
-CLEAR_OF = 6.0
-"""Of the spread of the steps from sample to sample, from which on one is a report: the others are noise, or none."""
+CLEAR_OF = 4.5
+"""Of the spread of the steps from sample to sample, from which on one is a report: the others are noise, or none. Once in a hundred records
+of 1500 samples noise steps so far, and a report may be of hardly more than the least step, with noise against it."""
+CLEAR_BEAT = 6.0
+"""Standard errors by which reports are denser at fixed times than elsewhere, of hundreds of periods."""
 LEAST_STEPS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.35)
 """Quantiles of the reports' steps at which the least change that is reported may lie: most are larger, as the signal moves on."""
 BEATS, SHORTEST = 8, 3
@@ -45,15 +49,33 @@ def _beat(moved: NDArray[np.bool_]) -> tuple[int, int]:
         place = int(np.argmax(mean))
         clear = (mean[place] - share) * np.sqrt(len(whole) / (share * (1.0 - share)))
         best = max(best, (float(clear), every, place))
-    return best[1:] if best[0] > CLEAR_OF else (0, 0)
+    return best[1:] if best[0] > CLEAR_BEAT else (0, 0)
+
+
+def _of_each(y: Array, seen: NDArray[np.bool_], keep: NDArray[np.bool_]) -> Array:
+    """(N,) readings of which each is the mean of those until the next report: what was reported, read as often as it stood."""
+    which = np.cumsum(seen)
+    count, total = np.bincount(which, keep), np.bincount(which, np.where(keep, y, 0.0))
+    return np.where(count[which] > 0, (total / np.maximum(count, 1.0))[which], y)
+
+
+def _least_step(x: Array, held: Array, seen: NDArray[np.bool_], keep: NDArray[np.bool_]) -> float:
+    """The step at which most samples of a signal x (N,) are rightly said to be reported or not, each against the report before it."""
+    from_last = np.abs(x[1:] - held[:-1])[keep[1:]]
+    order = np.argsort(from_last)
+    reported = seen[1:][keep[1:]][order]
+    # where the step lies above so many of them
+    wrong = np.cumsum(reported) + np.sum(~reported) - np.cumsum(~reported)
+    at = int(np.argmin(wrong))
+    return float(np.mean(from_last[order[at : at + 2]]))
 
 
 def _reports(channel: Any, base: Any, beaten: bool) -> Iterator[Any]:
     """A linear model of the samples that were reported, which are the signal itself, and the least step that leaves least."""
-    from estimators.diagnosis.model.fitting import fit
-    from estimators.diagnosis.model.shown import LATER, UNTOLD, as_shown, begun_at_rest
+    from estimators.diagnosis.model.fitting import Fit, fit
+    from estimators.diagnosis.model.shown import LATER, as_shown, begun_at_rest
     from estimators.diagnosis.model.simulation import simulate
-    from estimators.diagnosis.model.structure import Part
+    from estimators.diagnosis.model.structure import Part, Structure
 
     s, keep = base.structure, channel.keep
     if s.layout != "tf" or s.effects or np.mean(keep) < KEPT:
@@ -72,20 +94,27 @@ def _reports(channel: Any, base: Any, beaten: bool) -> Iterator[Any]:
     beat = [float(every), float((channel.clock.k[0] + place + 1) % every)] if beaten else []
     first = int(np.argmax(moved)) + 1
     quantiles = np.quantile(steps[moved], BEATEN if beaten else LEAST_STEPS)
-    shown = list(as_shown(channel, base, channel.y, seen, LATER))
-    least = min(f.criterion for f in shown) + UNTOLD
-    f = begun_at_rest(channel.without(~seen), next(f for f in shown if f.criterion < least))
-    new, at = f.structure.adding(Part(BEAT if beaten else REPORTED, s.inputs[0])), len(f.p)
+    held = replace(channel, y=_of_each(channel.y, seen, keep))
+    at_times = np.arange(len(seen)) % every == place + 1 if beaten else np.zeros(len(seen), dtype=bool)
+    size = 0.05 * float(quantiles[0])
+    found: list[tuple[float, Array, Fit, Structure]] = []
+    for shown in as_shown(held, base, held.y, seen, LATER):
+        f = begun_at_rest(held.without(~seen), shown)
+        new, at = f.structure.adding(Part(BEAT if beaten else REPORTED, s.inputs[0])), len(f.p)
 
-    def left(p: Array) -> float:
-        return float(np.sum((channel.y - simulate(new, p, channel.u, channel.clock))[keep] ** 2))
+        def left(p: Array, new: Structure = new) -> float:
+            return float(np.sum((channel.y - simulate(new, p, channel.u, channel.clock))[keep] ** 2))
 
-    off = float(np.mean(channel.y[:first]) - simulate(f.structure, f.p, channel.u, channel.clock)[0])
-    best = min((np.append(f.p, [size, *beat, off]) for size in quantiles), key=left)
-    near = np.where(np.arange(len(best)) == at, best * NEARBY[:, None], best)
-    size = 0.05 * best[at]
+        x = simulate(f.structure, f.p, channel.u, channel.clock)
+        off = float(np.mean(channel.y[:first]) - x[0])
+        sizes = [*quantiles, _least_step(x, held.y, seen, keep & ~at_times)]
+        best = min((np.append(f.p, [size, *beat, off]) for size in sizes), key=left)
+        near = min(np.where(np.arange(len(best)) == at, best * NEARBY[:, None], best), key=left)
+        # what is reported late or early is off by a step: of the samples that were seen alone, a model of one pole more may be as good
+        found.append((left(near), near, f, new))
+    _, p, f, new = min(found, key=lambda entry: entry[0])
     scales = np.append(f.scales, [size, *np.zeros(len(beat)), size])
-    yield fit(channel, new, min(near, key=left), scales, noise=base.noise, iterations=10)
+    yield fit(channel, new, p, scales, noise=base.noise, iterations=10)
 
 
 SENDS = "the sensor reports a change of more than a least step only, and stands in between"
