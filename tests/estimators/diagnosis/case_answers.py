@@ -96,6 +96,7 @@ NAMED = {
     "zeros": ("tf", [("steps_output", [0.5, 40.3, -0.3, 70.6], {"size": 2})], {"clock": (-30.0, 0.5, 300)}),
     "bit": ("tf", [("input_bit", [0.4, 0.1])], {}), "coil": ("tf", [("gain_worn", [0.02, -1.0])], {"rest": False}),
     "power": ("tf", [("power_limited", [0.3, 0.5])], {"rest": False}),
+    "cracked": ("tf", [("input_threshold", [-0.2, 0.6])], {}),
     "ridden": ("tf", [("driven_by_power", [0.3, 0.5])], {"rest": False}),
     "accumulator": ("tf", [("check_valve", [0.4, 0.2, -2.0, 1.6])], {"rest": False}),
     "a motor": ("tf", [("pull_out", [0.4, 0.5, 0.1, -1.0, 1.6])], {"rest": False}),

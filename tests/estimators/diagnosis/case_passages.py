@@ -58,6 +58,11 @@ def ridden(u, a):
     return linear(process(lambda x, v: 0.06 * (spare(x, v) / max(x, 0.2) if a else v - x), u, start))
 
 
+def cracked(u, a):
+    """A pressure behind a check valve that opens at some of it: the flow goes with the root of what exceeds that."""
+    return linear(np.sqrt(np.maximum(u - 2.5, 0.0)) if a else u)
+
+
 def coil(u, a):
     """A spool that grows with every turn that it winds."""
     through = np.cumsum(u) - 0.5 * u
@@ -218,7 +223,7 @@ _FLOW = {"mean": 4.0, "size": 1.2}
 PASSAGES = {
     # effect: maker, order of the linear model, form of the input
     "exposure": (heated_tube, 2, _FLOW), "exposure_carried": (hot_stream, 2, _FLOW | {"inputs": 2}), "exposure_walled": (steam, 2, _FLOW | {"inputs": 2}),
-    "power_limited": (tram, 3, {"hold": 25}), "driven_by_power": (ridden, 3, {"mean": 3.0, "hold": 25}), "gain_worn of a coil": (coil, 2, {"mean": 4.0}), "input_bit": (coded, 2, {}),
+    "power_limited": (tram, 3, {"hold": 25}), "input_threshold": (cracked, 2, {"mean": 3.0}), "driven_by_power": (ridden, 3, {"mean": 3.0, "hold": 25}), "gain_worn of a coil": (coil, 2, {"mean": 4.0}), "input_bit": (coded, 2, {}),
     "capacity_level": (funnel, 3, {"mean": 4.0, "size": 1.5}), "output_hyperbola": (gap, 2, {}),
     "loss_periodic": (aired, 2, {"mean": 4.0}), "refreshed of an analyser": (analysed, 2, {}),
     "stiffness_worked": (rubber, 2, {}), "damping_worked": (damper, 2, {}),

@@ -5,6 +5,7 @@ short filter behind them.
 """
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from functools import partial
 from itertools import combinations, product
 from typing import Any
@@ -41,6 +42,8 @@ LAG = 0.5
 NEAR = 2.0
 """Times the linear model's squares, within which a fit may find the way from the nearest shape: an actuator that runs at its limit
 most of the time turns with it, and a quarter off in its rate is a quarter of a turn late within a few."""
+AHEAD = -0.5
+"""Denominator of a lag before a loop, to start with: one of a sample and a half."""
 FACTORS, PASSES = (1.6, 1.25, 1.1), 4
 """By which factors the best shapes of a loop are moved before they are fitted, one less by each, and at most how often."""
 MOVES = np.concatenate(
@@ -148,6 +151,19 @@ def _behind(channel: Any, f: Any) -> Iterator[Any]:
         yield g
 
 
+def _before(channel: Any, f: Any) -> Iterator[Any]:
+    """The fit with a lag of the actuator before the loop, where that does better: it is no pole of the linear part after it."""
+    from estimators.diagnosis.model.fitting import fit
+
+    part, at = f.structure.parts[-1], f.structure.slices()[-1].start
+    new = replace(f.structure, parts=(*f.structure.parts[:-1], replace(part, first=1)))
+    g = fit(
+        channel, new, np.insert(f.p, at, AHEAD), np.insert(f.scales, at, 1.0), noise=f.noise, iterations=30
+    )
+    if g.criterion < f.criterion:
+        yield g
+
+
 def slowest_rate(den: Array, n: int) -> float:
     """Rate per sample of the slowest pole, those left out that stand for a level or a drift where there are others."""
     poles = np.roots(den).astype(complex)
@@ -157,7 +173,7 @@ def slowest_rate(den: Array, n: int) -> float:
 
 
 def shaped(
-    effect: Any, shapes: Any, steps: Any, near: float = 1.0, moves: Array = MOVES, least: int = 1
+    effect: Any, shapes: Any, steps: Any, near: float = 1.0, moves: Array | None = MOVES, least: int = 1
 ) -> Any:
     """The search of an effect over the shapes of a loop; `steps` sizes of its parameters for a slowest pole and an input, `near` how
     far above the linear model's squares the best shape may be, from where a fit finds the way after `moves`, `least` the order from
@@ -177,12 +193,15 @@ def shaped(
         if not tried or tried[0][0] > near * float(np.sum(base.residual**2)):
             return
         starts = [q for _, q in tried[:BEGUN]]
-        if near > 1.0:
+        if near > 1.0 and moves is not None:
             starts = _nearer(channel, bare, part, tried, moves)
         for f in ended(channel, bare, part, starts, steps(slowest, float(np.std(u)))):
             if firm(base, float(np.sum(f.residual**2))):
                 yield f
-                yield from _behind(channel, f) if "behind" in part.effect.parameters and len(f.noise) else ()
+                if len(f.noise):
+                    yield from (
+                        _behind(channel, f) if "behind" in part.effect.parameters else _before(channel, f)
+                    )
 
     return search
 
@@ -191,7 +210,7 @@ WINDUP = Effect(
     key="wind_up", cause="wind_up", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=50, apply=_applied(_wound_up),
     sentence="a loop of its own follows the input, its actuator is limited, and its integrator winds up",
     parameters={"plant": "1/sample", "proportional": "1", "integral": "1/sample", "low": "u", "high": "u"},
-    search=shaped(lambda: WINDUP, _controlled, lambda slowest, su: [slowest, 1.0, slowest, su, su]),
+    search=shaped(lambda: WINDUP, _controlled, lambda slowest, su: [slowest, 1.0, slowest, su, su], NEAR, None),
 )  # fmt: skip
 
 RELAY = Effect(
