@@ -18,6 +18,7 @@ from estimators.diagnosis.search.starts import (
     DRIFTING,
     DRIFTS,
     Start,
+    behind_a_lag,
     fitted,
     quick_pole,
     renewed,
@@ -34,9 +35,7 @@ LEAST_PROMISE = 6.0  # of the score, for an effect to be fitted where only the m
 BLIND = ("output_sigmoid", "output_arctan", "output_exponential", "output_polynomial", "input_exponential")
 # curves that are fitted wherever any effect promises something: a score from a linear model that the curve of a sensor has
 # spoilt says little of it, nor one of a curve that a lag of the actuator stands before; one saturates, two grow, one is general
-UNDERSTATED = (
-    3.0  # times what its score promises, that an effect may gain: scores are linear, effects are not
-)
+UNDERSTATED = 3.0  # times what its score promises, that an effect may gain: scores are linear
 NEAR = 0.5  # of the best gain at the input, for an effect to be tried with other poles
 LAGGED = 4  # effects at the input that are tried behind a lag
 RENEWALS = 3  # rounds of fresh poles for the best effect at the input
@@ -117,6 +116,7 @@ def augmented(
         further += _own(channel, base, e, menu)
         if steady is not None and e.family == DRIFTS:
             further += _own(channel, steady, e, menu)
+    further += behind_a_lag(channel, base, further)
     yield from further
     if top and fits and not base.structure.effects:
         yield from _kin(channel, base, wanted, [*fits, *further], iterations)

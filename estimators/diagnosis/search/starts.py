@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from estimators.diagnosis.effects.effect import Sizes, Slot
+from estimators.diagnosis.effects.effect import Effect, Nature, Sizes, Slot
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.layouts import RATES, layout_matrices, states
 from estimators.diagnosis.model.linear import fresh_poles, numerators, prefiltered_error, relinearised
@@ -35,6 +35,10 @@ QUICKLY = 8
 
 LAGS = tuple(float(np.exp(-1.0 / tau)) for tau in (0.5, 1.0, 2.0, 4.0, 8.0, 16.0))
 """Poles of an actuator's lag that are asked of a bend behind it, by octaves: a fit goes on from the nearest."""
+
+LAGGING = (Nature.DYNAMIC, Nature.INPUT_STATIC)
+AHEAD, CLOSE, AHEAD_STEPS = 4, 0.5, 30
+"""Effects with a search of their own that are tried behind a lag, the best of those that gain such a share of the best gain; steps of their fits."""
 
 PACES = (0.3, 0.6)
 """Quick poles that may follow a process: a sensor's or an actuator's lag, from one sample on."""
@@ -334,6 +338,36 @@ def _behind(channel: Channel, s: Structure, p: Array) -> list[Array]:
         held = np.where(np.arange(len(p)) < s.order, 0.0, np.maximum(np.abs(start), STEEP))
         found.append(fit(channel, s, start, held, iterations=QUICKLY, colour=False).p)
     return found
+
+
+def behind_a_lag(channel: Channel, base: Fit, fits: list[Fit]) -> Iterator[Fit]:
+    """The best effects at an input that have a search of their own once more, behind a lag of the actuator, where that does better: it is
+    no pole of the linear part after them."""
+
+    def able(f: Fit) -> bool:
+        part = f.structure.parts[-1]
+        e, own = part.effect, {"lag", "behind"} & part.effect.parameters.keys()
+        acts = e.slot is Slot.INPUT and e.nature in LAGGING and e.apply is not None and e.signal is None
+        return acts and not part.first and not own and f.structure.layout == "tf" and len(f.noise) > 0
+
+    best: dict[Effect, Fit] = {}
+    for f in sorted((f for f in fits if able(f)), key=lambda f: f.deviance):
+        best.setdefault(f.structure.parts[-1].effect, f)
+    found = list(best.values())
+    if not found or base.structure.effects:
+        return
+    least = base.deviance - CLOSE * (base.deviance - found[0].deviance)
+    for f in found[:AHEAD]:
+        if f.deviance <= least:
+            *before, part = f.structure.parts
+            new, at = (
+                replace(f.structure, parts=(*before, replace(part, first=1))),
+                f.structure.slices()[-1].start,
+            )
+            p, scales = np.insert(f.p, at, -LAGS[1]), np.insert(f.scales, at, 1.0)
+            g = fit(channel, new, p, scales, noise=f.noise, iterations=AHEAD_STEPS)
+            if g.criterion < f.criterion:
+                yield g
 
 
 def fitted(channel: Channel, base: Fit, starts: Iterable[Start], iterations: int) -> list[Fit]:

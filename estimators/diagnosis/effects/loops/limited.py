@@ -5,7 +5,6 @@ short filter behind them.
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from functools import partial
 from itertools import combinations, product
 from typing import Any
@@ -42,8 +41,6 @@ LAG = 0.5
 NEAR = 2.0
 """Times the linear model's squares, within which a fit may find the way from the nearest shape: an actuator that runs at its limit
 most of the time turns with it, and a quarter off in its rate is a quarter of a turn late within a few."""
-AHEAD = -0.5
-"""Denominator of a lag before a loop, to start with: one of a sample and a half."""
 FACTORS, PASSES = (1.6, 1.25, 1.1), 4
 """By which factors the best shapes of a loop are moved before they are fitted, one less by each, and at most how often."""
 MOVES = np.concatenate(
@@ -151,19 +148,6 @@ def _behind(channel: Any, f: Any) -> Iterator[Any]:
         yield g
 
 
-def _before(channel: Any, f: Any) -> Iterator[Any]:
-    """The fit with a lag of the actuator before the loop, where that does better: it is no pole of the linear part after it."""
-    from estimators.diagnosis.model.fitting import fit
-
-    part, at = f.structure.parts[-1], f.structure.slices()[-1].start
-    new = replace(f.structure, parts=(*f.structure.parts[:-1], replace(part, first=1)))
-    g = fit(
-        channel, new, np.insert(f.p, at, AHEAD), np.insert(f.scales, at, 1.0), noise=f.noise, iterations=30
-    )
-    if g.criterion < f.criterion:
-        yield g
-
-
 def slowest_rate(den: Array, n: int) -> float:
     """Rate per sample of the slowest pole, those left out that stand for a level or a drift where there are others."""
     poles = np.roots(den).astype(complex)
@@ -198,10 +182,7 @@ def shaped(
         for f in ended(channel, bare, part, starts, steps(slowest, float(np.std(u)))):
             if firm(base, float(np.sum(f.residual**2))):
                 yield f
-                if len(f.noise):
-                    yield from (
-                        _behind(channel, f) if "behind" in part.effect.parameters else _before(channel, f)
-                    )
+                yield from _behind(channel, f) if "behind" in part.effect.parameters and len(f.noise) else ()
 
     return search
 
