@@ -41,6 +41,9 @@ LAG = 0.5
 NEAR = 2.0
 """Times the linear model's squares, within which a fit may find the way from the nearest shape: an actuator that runs at its limit
 most of the time turns with it, and a quarter off in its rate is a quarter of a turn late within a few."""
+WOUND = 8.0
+"""The same of a loop that winds up, whose parameters the error leads to from any of the nearest shapes; the less it is limited, the more of
+the linear model's error they leave."""
 FACTORS, PASSES = (1.6, 1.25, 1.1), 4
 """By which factors the best shapes of a loop are moved before they are fitted, one less by each, and at most how often."""
 MOVES = np.concatenate(
@@ -191,7 +194,7 @@ WINDUP = Effect(
     key="wind_up", cause="wind_up", nature=Nature.DYNAMIC, slot=Slot.INPUT, trials=50, apply=_applied(_wound_up),
     sentence="a loop of its own follows the input, its actuator is limited, and its integrator winds up",
     parameters={"plant": "1/sample", "proportional": "1", "integral": "1/sample", "low": "u", "high": "u"},
-    search=shaped(lambda: WINDUP, _controlled, lambda slowest, su: [slowest, 1.0, slowest, su, su], NEAR, None),
+    search=shaped(lambda: WINDUP, _controlled, lambda slowest, su: [slowest, 1.0, slowest, su, su], WOUND, None),
 )  # fmt: skip
 
 RELAY = Effect(
