@@ -24,6 +24,7 @@ from estimators.diagnosis.search.starts import (
     renewed,
     scored,
     steady_of,
+    to_the_end,
 )
 from estimators.diagnosis.share.signals import late
 from estimators.residual.algebra import least_squares
@@ -367,10 +368,6 @@ def _plant_fits(
 ) -> Iterator[Fit]:
     """Effects inside the plant: a few steps in each layout, then the best is fitted to the end."""
     ended: dict[str, Fit] = {}  # where the effects that others extend ended
-
-    def to_the_end(f: Fit) -> Fit:
-        return fit(channel, f.structure, f.p, f.scales, noise=f.noise, iterations=iterations)
-
     for e in effects:
         plain = ended.get(e.extends)
         if plain is not None and base.deviance - plain.deviance < 6.0:
@@ -388,7 +385,7 @@ def _plant_fits(
         quick.sort(key=lambda f: f.deviance)
         if not quick or base.deviance - quick[0].deviance < HOPELESS:
             continue
-        for found in _least(to_the_end(f) for f in quick[:2]):
+        for found in _least(to_the_end(channel, f, iterations) for f in quick[:2]):
             if plain is not None and found.deviance < plain.deviance - 3.0:
                 bare = replace(found.structure, parts=(*base.structure.parts, plain.structure.parts[-1]))
                 again = fit(channel, bare, found.p[: bare.size], found.scales[: bare.size], noise=base.noise,

@@ -40,6 +40,9 @@ LAGGING = (Nature.DYNAMIC, Nature.INPUT_STATIC)
 AHEAD, CLOSE, AHEAD_STEPS = 4, 0.5, 30
 """Effects with a search of their own that are tried behind a lag, the best of those that gain such a share of the best gain; steps of their fits."""
 
+TIMES, AGAIN = 100, 3
+"""Times over a record at which a change of known size is put once more, as the best of 20 of unknown size may lie elsewhere; rounds of it."""
+
 PACES = (0.3, 0.6)
 """Quick poles that may follow a process: a sensor's or an actuator's lag, from one sample on."""
 
@@ -368,6 +371,20 @@ def behind_a_lag(channel: Channel, base: Fit, fits: list[Fit]) -> Iterator[Fit]:
             g = fit(channel, new, p, scales, noise=f.noise, iterations=AHEAD_STEPS)
             if g.criterion < f.criterion:
                 yield g
+
+
+def to_the_end(channel: Channel, f: Fit, iterations: int) -> Fit:
+    """The fit continued; of a change at an instant also from wherever in the record a change of that size does best."""
+    s, again = f.structure, fit(channel, f.structure, f.p, f.scales, noise=f.noise, iterations=iterations)
+    at = s.slices()[-1].stop - 1
+    for _ in range(AGAIN if s.parts[-1].effect.timed else 0):
+        f, times = again, channel.clock.k[0] + np.linspace(0.01, 0.99, TIMES) * len(channel)
+        trials = (np.concatenate((f.p[:at], [t], f.p[at + 1 :])) for t in times)
+        best = min(trials, key=lambda q: _squares(channel, s, q))
+        again = fit(channel, s, best, f.scales, noise=f.noise, iterations=iterations)
+        if not again.criterion < f.criterion:
+            return f
+    return again
 
 
 def fitted(channel: Channel, base: Fit, starts: Iterable[Start], iterations: int) -> list[Fit]:

@@ -91,3 +91,22 @@ def test_a_loop_that_winds_up_is_fitted_from_shapes_that_are_worse_than_the_line
     assert tried[0][0] > float(np.sum(base.residual**2))
     found = augmented(channel, base, Menu((named("wind_up"),)))
     assert min(map(error, found)) < 1.05 * noise < error(base)
+
+
+@pytest.mark.parametrize("seed", [47, 50, 52, 58])
+def test_a_change_is_put_at_its_instant_once_its_size_is_known(seed) -> None:
+    """A thermometer whose pocket loses its oil: fitted from the best of 20 instants, up to three times the noise was left."""
+    rng = np.random.default_rng(seed)
+    u, at = np.repeat(rng.uniform(20.0, 80.0, N // 25), 25), rng.uniform(0.2, 0.8) * N
+    hot, quick = lag(u, np.exp(-1.0 / rng.uniform(6.0, 15.0))), rng.uniform(2.0, 6.0)
+    slow, y = quick * rng.uniform(2.5, 6.0), np.empty(N)
+    x = hot[0]
+    for k, warm in enumerate(hot):
+        y[k] = x
+        x += (1.0 - np.exp(-1.0 / (slow if k >= at else quick))) * (warm - x)
+    channel, _, noise = recorded(u, y, 2, rng)
+    base = fit_linear(channel, replace(Structure(2).adding(Part(OFFSET)).adding(Part(INITIAL)), base=2))
+    menu = Menu((named("pole_change"), named("timescale_change")))
+    found = min(augmented(channel, base, menu), key=lambda f: f.criterion)
+    assert error(found) < 1.1 * noise
+    assert abs(found.p[found.structure.slices()[-1]][1] - at) < 6.0
