@@ -87,6 +87,7 @@ NAMED = {
     "worn": ("tf", [("gain_worn", [0.02, 0.6])], {"rest": False}),
     "at times": ("tf", [("reported_in_time", [0.3, 7.0, 2.0, 0.1])], {"rest": False}),
     "out of echo": ("tf", [("held_in_motion", [0.1, 0.5])], {"rest": False}),
+    "a peak": ("tf", [("window_extreme", [5.0, -1.0])], {"rest": False}), "peaks anew": ("tf", [("window_begun_anew", [7.0, 3.0, 1.0])], {"clock": (-3.0, 1.0, 300), "rest": False}),
     "on change": ("tf", [("reported_on_change", [0.3, 0.1])], {"rest": False}),
     "store": ("tf", [("integral_curve", [0.3, 0.1, 2.0, 0.2, 3.0, 50.0, -9.0, 0.0])], {"rest": False}),
     "time": ("tf", [("gain_drift", [0.3]), ("drift", [0.1, 0.2]), ("tones", [0.2, 0.3, 0.1]), ("sweep", [0.1, 0.01, 0.2, 0.1])],

@@ -12,6 +12,7 @@ from estimators.diagnosis.effects.disturbances.added import OFFSET
 from estimators.diagnosis.effects.loops.limited import _controlled, slowest_rate
 from estimators.diagnosis.effects.path import INITIAL
 from estimators.diagnosis.effects.profiled import profiled_behind
+from estimators.diagnosis.effects.sensing.extremes import ANEW, SLIDING
 from estimators.diagnosis.model.fitting import Channel, Fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Part, Structure
@@ -110,3 +111,31 @@ def test_a_change_is_put_at_its_instant_once_its_size_is_known(seed) -> None:
     found = min(augmented(channel, base, menu), key=lambda f: f.criterion)
     assert error(found) < 1.1 * noise
     assert abs(found.p[found.structure.slices()[-1]][1] - at) < 6.0
+
+
+@pytest.mark.parametrize(
+    ("effect", "seed"), [(SLIDING, 21), (SLIDING, 22), (SLIDING, 26), (ANEW, 3), (ANEW, 7)]
+)
+def test_a_window_is_found_whatever_poles_the_linear_model_has_for_it(effect, seed) -> None:
+    """A peak detector, which no linear model tells from poles: nothing was found."""
+    rng = np.random.default_rng(seed)
+    u = lag(np.repeat(rng.uniform(20.0, 80.0, N // 30), 30), 0.3)
+    x = lag(lag(u, rng.uniform(0.6, 0.95)), rng.uniform(0.3, 0.8))
+    window, side, clock = float(rng.integers(3, 26)), rng.choice([1.0, -1.0]), Clock(np.arange(float(N)), N)
+    shape = [window, side] if effect is SLIDING else [window, window // 3, side]
+    y = effect.apply(np.concatenate((x[:1], x[:-1])), np.array(shape), clock)
+    channel, _, noise = recorded(u, y, 2, rng)
+    base = fit_linear(channel, replace(Structure(2).adding(Part(OFFSET)).adding(Part(INITIAL)), base=2))
+    found = min(augmented(channel, base, Menu((SLIDING, ANEW))), key=error)
+    assert error(found) < 1.15 * noise < 0.2 * error(base)
+    assert found.structure.parts[-1].effect is effect
+    assert list(found.p[found.structure.slices()[-1]]) == shape
+
+
+def test_a_record_that_moves_alike_both_ways_has_no_window() -> None:
+    channel, base, _ = boiling(3.0, np.random.default_rng(2))
+    assert not list(augmented(channel, base, Menu((ANEW,))))
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.uniform(-1.0, 1.0, N // 30), 30)
+    channel, base, _ = recorded(u, lag(np.concatenate((u[:1], u[:-1])), 0.8), 1, rng)
+    assert not list(augmented(channel, base, Menu((SLIDING, ANEW))))

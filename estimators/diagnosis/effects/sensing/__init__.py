@@ -1,6 +1,7 @@
 """What a sensor makes of its signal, in which samples and by which clock."""
 
 from estimators.diagnosis.effects.sensing.curves import CURVES
+from estimators.diagnosis.effects.sensing.extremes import EXTREMES
 from estimators.diagnosis.effects.sensing.gains import CARRIED, LEVELLED
 from estimators.diagnosis.effects.sensing.jumps import LOST
 from estimators.diagnosis.effects.sensing.losses import LOST_IN_MOTION
@@ -14,5 +15,5 @@ from estimators.diagnosis.effects.sensing.turns import TURNS
 __all__ = ["REPORTING", "SENSORS"]
 
 SENSORS = (
-    *CURVES, RANGES, AUTORANGE, SINE, *REPORTING, PACED, TREADS, BANDED, TURNS, LEVELLED, CARRIED, SWUNG, SLIPPED, TRAILING, LOST, LOST_IN_MOTION, *MISREAD.values(),
+    *CURVES, RANGES, AUTORANGE, SINE, *REPORTING, PACED, TREADS, BANDED, TURNS, LEVELLED, CARRIED, SWUNG, SLIPPED, TRAILING, LOST, LOST_IN_MOTION, *MISREAD.values(), *EXTREMES,
 )  # fmt: skip

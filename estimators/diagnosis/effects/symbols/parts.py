@@ -21,6 +21,7 @@ from estimators.diagnosis.effects.sensing.turns import TOP
 from estimators.diagnosis.effects.symbols import terms
 from estimators.diagnosis.effects.symbols.loops import LOOPED
 from estimators.diagnosis.effects.symbols.meeting import MEETINGS
+from estimators.diagnosis.effects.symbols.sensing import EXTREMES
 from estimators.diagnosis.effects.symbols.wiring import Wiring
 
 Array = NDArray[Any]
@@ -294,8 +295,8 @@ TIMED: Mapping[str, Callable[[Wiring, Any, Array, Any], Any]] = {
     "select_low": lambda w, x, p, k: w.ca.fmin(x, p[1] * w.u[int(p[0]) - 1] + p[2]),
     "select_high": lambda w, x, p, k: w.ca.fmax(x, p[1] * w.u[int(p[0]) - 1] + p[2]),
     "share": lambda w, x, p, k: x / (x + p[1] * w.u[int(p[0]) - 1]),
-    **MEETINGS,
-}
+    **MEETINGS, **EXTREMES,
+}  # fmt: skip
 """Of those that know the time, too, or another input."""
 
 
