@@ -82,7 +82,7 @@ def _ended(
         p = np.append(f.p, shape)
         for _ in range(AGAIN):
             g = fit(channel, s, p, scales, noise=base.noise, iterations=20)
-            widths = np.arange(max(int(shape[0] / NEAR), 2), int(shape[0] * NEAR) + 2)
+            widths = range(max(int(shape[0] / NEAR), 2), int(shape[0] * NEAR) + 2)
             best = min(widths, key=lambda w, g=g: _left(channel, g, effect, [float(w), *shape[1:]]))
             if effect is ANEW or best == shape[0]:
                 break
