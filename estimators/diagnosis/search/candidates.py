@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from estimators.diagnosis.effects import CATALOGUE, Effect, Nature, Slot
-from estimators.diagnosis.effects.profiled import gained
 from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.linear import fit_linear, layout_starts
 from estimators.diagnosis.model.structure import Part, Structure
 from estimators.diagnosis.record.measurement import switched
+from estimators.diagnosis.search.ratios import explained
 from estimators.diagnosis.search.starts import (
     DRIFTING,
     DRIFTS,
@@ -26,8 +25,6 @@ from estimators.diagnosis.search.starts import (
     steady_of,
     to_the_end,
 )
-from estimators.diagnosis.share.signals import late
-from estimators.residual.algebra import least_squares
 
 Array = NDArray[Any]
 
@@ -43,9 +40,7 @@ RENEWALS = 3  # rounds of fresh poles for the best effect at the input
 ON = 25  # further steps of what changes with time
 QUICK = 5  # Gauss-Newton steps by which starts inside a plant are told apart
 FORMS = 2  # layouts that are tried with several inputs, which cost a column of parameters each; the inside is looked at first
-PLAIN, LATER, CHANCE = 2, (0, 1, 2, 3, 5, 8, 13), 1e-3
-# parameters of an effect that, if it leaves nothing, is no fit of many; lags in samples at which its signals are asked what it left, and the
-# level from which on they tell something
+WHOLE = 60  # steps by which the best that a score leads to is fitted on, before it is asked whether anything is left
 HOPELESS = (
     -30.0
 )  # gain after those steps below which a start is given up: a layout may fit worse than the linear model
@@ -106,20 +101,24 @@ def augmented(
     fits = list(
         _scanned(channel, base, [e for e in wanted if e.search is None], best, iterations, top, needed)
     )
+    first = bool(fits) and not base.structure.effects
+    if first and needed <= 0.0:
+        f = min(fits, key=lambda f: f.criterion)
+        fits.append(fit(channel, f.structure, f.p, f.scales, iterations=WHOLE))
     yield from fits
-    if needed > 0.0 or (fits and not base.structure.effects and explained(channel, base, fits)):
+    if needed > 0.0 or (first and explained(channel, base, fits)):
         return
     further: list[Fit] = []
     steady = steady_of(channel, base) if any(e.family == DRIFTS for e in wanted) else None
     for e in wanted:
-        if fits and not base.structure.effects:
+        if first:
             further += _led(channel, base, e, iterations)
         further += _own(channel, base, e, menu)
         if steady is not None and e.family == DRIFTS:
             further += _own(channel, steady, e, menu)
     further += behind_a_lag(channel, base, further)
     yield from further
-    if top and fits and not base.structure.effects:
+    if top and first:
         yield from _kin(channel, base, wanted, [*fits, *further], iterations)
 
 
@@ -198,22 +197,6 @@ def _sooner(channel: Channel, base: Fit) -> list[Fit]:
     if s.layout != "tf" or s.effects:
         return []
     return [fit_linear(channel, replace(s, delay=d)) for d in {s.delay // 2, 0} if d < s.delay]
-
-
-def explained(channel: Channel, base: Fit, fits: list[Fit]) -> bool:
-    """Whether an effect of few parameters leaves white noise of which its signals and the time tell nothing: what has a search of its own,
-    and more parameters or more shapes, could do no better."""
-    f = min(fits, key=lambda f: f.criterion)
-    if len(f.noise) or channel.step > 0 or len(f.p) - len(base.p) > PLAIN:
-        return False
-    n, t = len(channel), np.linspace(-1.0, 1.0, len(channel))
-    columns = [np.ones(n), t, t**2, t**3]
-    for x in (*channel.u[:, list(f.structure.inputs)].T, channel.y - f.residual):
-        x = np.nan_to_num(x - x.mean()) / (x.std() + 1e-300)
-        columns += [bend for v in (late(x, k) for k in LATER) for bend in (v, v**2, v**3, np.abs(v), t * v)]
-    X, e = np.stack(columns, axis=1)[channel.keep], f.residual[channel.keep]
-    left = e - X @ least_squares(X, e, 1e-10)
-    return bool(chi2.sf(gained(f.n, float(e @ e), float(left @ left)), X.shape[1]) > CHANCE)
 
 
 def _wanted(menu: Menu, s: Structure) -> list[Effect]:

@@ -98,7 +98,7 @@ right one has not been missed where all were fitted."""
 PAID, LEAST_FITTED = 2000, 4
 """Samples of a record from which on fewer effects are fitted, so that the work does not grow with it, and the fewest: the
 scores of a long record are sharp."""
-ALIKE = 0.1  # share of the wild samples that may have changed for what was found without them to be fitted again only
+ALIKE, FEW = 0.1, 0.01  # shares of the wild samples, of all, that may change where fits are only fitted on
 EXACT = 1e-6  # of the step between levels: what a model hits so nearly was not rounded to them, its inputs have few values
 PHYSICAL = 4
 """Poles from which on a linear model is no plant that effects could sit in, but an approximation of one."""
@@ -271,8 +271,8 @@ def _examined(record: Record, i: int, setting: Setting, known: Known) -> Examine
         if not wild.any() and not len(found.final.noise):
             found = _refitted(channel.without(wild), found)
         else:
-            alike = np.sum(wild != first_wild) <= ALIKE * first_wild.sum()
-            singles = [c.fit for c in found.claims] if alike else ()
+            alike = max(ALIKE * first_wild.sum(), FEW * n)
+            singles = [c.fit for c in found.claims] if np.sum(wild != first_wild) <= alike else ()
             found = attribute(channel.without(wild), s, menu, alpha=setting.alpha, singles=singles)
     else:
         found = attribute(channel, s, menu, alpha=setting.alpha, base=None if channel.step else first)

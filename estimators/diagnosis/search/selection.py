@@ -11,9 +11,10 @@ from estimators.diagnosis.model.fitting import Channel, Fit, fit
 from estimators.diagnosis.model.linear import fit_linear
 from estimators.diagnosis.model.structure import Structure
 from estimators.diagnosis.record.paired import as_good
-from estimators.diagnosis.search.candidates import Menu, augmented, explained, refit
+from estimators.diagnosis.search.candidates import Menu, augmented, refit
 from estimators.diagnosis.search.exchange import exchanged, whole_delay
 from estimators.diagnosis.search.feedback import feedback_of
+from estimators.diagnosis.search.ratios import explained
 
 EVERYTHING = Menu()
 FAMILY = EVERYTHING.family
