@@ -333,9 +333,26 @@ def neutralised(u, a):
     return 7.0 + np.log10(left + np.sqrt(left**2 + 1.0))
 
 
+def peak_held(u, a):
+    """A meter whose needle stays up for a while."""
+    x = linear(u)
+    late = [np.concatenate((np.repeat(x[:1], k), x[: len(x) - k])) for k in range(1 + int(10 * a))]
+    return np.max(late, axis=0)
+
+
+def demanded(u, a):
+    """A meter of the most that was drawn since the quarter of an hour began."""
+    x = linear(u)
+    return (
+        np.concatenate([np.maximum.accumulate(one) for one in np.split(x, range(5, len(x), 12))]) if a else x
+    )
+
+
 DRIVES = {
     # effect: maker, order of the linear model, form of the input
     "reported_in_time": (in_time, 2, {}),
+    "window_extreme": (peak_held, 2, {"hold": 15}),
+    "window_begun_anew": (demanded, 2, {"hold": 15}),
     "held_in_motion": (out_of_echo, 2, {"hold": 15}),
     "sensor_rate": (transmitter, 3, {}),
     "geared_servo": (joint, 4, {"hold": 15}),

@@ -344,6 +344,7 @@ ALL_CLASSES = CLASSES | DRIVES | SEVERAL | PASSAGES | {
 
 ALL_LOOKALIKES = list(LOOKALIKES.items()) + [
     # effect, a record that looks like it and is not
+    ("window_extreme", "rise_and_fall"), ("rise_and_fall", "window_extreme"), ("window_extreme", "sensor_rate"), ("sensor_rate", "window_extreme"), ("window_extreme", "window_begun_anew"), ("window_begun_anew", "window_extreme"), ("window_begun_anew", "refreshed"), ("check_valve", "window_extreme"), ("window_extreme", "check_valve"), ("output_gain_periodic", "window_begun_anew"),
     ("held_in_motion", "reported_on_change"), ("held_in_motion", "sensor_rate"), ("held_in_motion", "refreshed"), ("held_in_motion", "output_dead_band"), ("reported_on_change", "held_in_motion"), ("sensor_rate", "held_in_motion"), ("refreshed", "held_in_motion"), ("lost_samples", "held_in_motion"),
     ("sensor_rate", "rate_in_loop"), ("sensor_rate", "rate_limit_servo"), ("rate_limit_servo", "sensor_rate"), ("sensor_rate", "sensor_paced"), ("rise_and_fall", "sensor_rate"),
     ("geared_servo", "clearance"), ("geared_servo", "stiction"), ("geared_servo", "rate_in_loop"), ("geared_load", "geared_motor"), ("geared_motor", "geared_load"), ("clearance_sprung", "geared_servo"), ("rate_in_loop", "geared_load"), ("geared_load", "stiction"),

@@ -11,19 +11,19 @@ from scipy.ndimage import maximum_filter1d
 from estimators.diagnosis.effects.effect import Clock, Effect, Nature, Slot
 from estimators.diagnosis.effects.output import KEPT
 from estimators.diagnosis.effects.profiled import firm
-from estimators.diagnosis.effects.sensing.reports import BEATS, CLEAR_OF, SHORTEST, _beat
+from estimators.diagnosis.effects.sensing.reports import BEATS, CLEAR_OF, SHORTEST, densest
 from estimators.diagnosis.effects.sensing.sensors import settled
 
 Array = NDArray[Any]
 WINDOWS, LONGEST = 24, 8
 """Lengths of a window that are tried, each a fifth longer than the one before, and the share of a record, one in so many, that the longest takes."""
-SPREADS, TOLD = (1, 5, 25), 0.02
+SPREADS, TOLD = (1, 5, 25), 0.15
 """Samples over which what the linear model foretells has moved, and the share of what it leaves that their sizes must explain: behind a
 window that is late one way."""
 FEW = (1, 2)
 """Poles that are tried beside the linear model's, which had some for the window."""
-ENDED, AGAIN, NEAR = 4, 6, 1.3
-"""Models that are fitted to the end, how often anew, and the factor by which a window may be longer or shorter then."""
+ENDED, AGAIN, NEAR = 3, 6, np.array([-2.0, -1.0, 1.0, 2.0])
+"""Models that are fitted to the end, how often anew, and by how many samples longer windows are tried then."""
 MOSTLY = 0.9  # share of all falls that must come at the same place of a period
 
 
@@ -62,8 +62,7 @@ def _left(channel: Any, f: Any, effect: Effect, shape: list[float]) -> float:
     """Sum of squares that a linear model leaves behind a window."""
     from estimators.diagnosis.model.simulation import simulate
 
-    bare = f.structure.keeping([q.effect is not effect for q in f.structure.parts])
-    x = simulate(bare[0], f.p[bare[1]], channel.u, channel.clock)
+    x = simulate(f.structure, f.p, channel.u, channel.clock)
     shown = effect.apply(x, np.array(shape), channel.clock)  # pyright: ignore[reportOptionalCall]
     return float(np.sum((channel.y - shown)[channel.keep] ** 2))
 
@@ -71,24 +70,31 @@ def _left(channel: Any, f: Any, effect: Effect, shape: list[float]) -> float:
 def _ended(
     channel: Any, base: Any, effect: Effect, found: list[tuple[float, list[float], Any]]
 ) -> Iterator[Any]:
-    """The best of linear models behind a window, fitted to the end with it, and again with the best of its length for as long as that is
-    another."""
+    """The best of linear models behind a window, fitted to the end with it, and with longer and shorter ones for as long as they leave less:
+    a linear model that is late takes up the rest of a window, so that each is fitted with its own."""
     from estimators.diagnosis.model.fitting import fit
     from estimators.diagnosis.model.structure import Part
 
     for _, shape, f in sorted(found, key=lambda entry: entry[0])[:ENDED]:
         s = f.structure.adding(Part(effect, base.structure.inputs[0]))
-        scales = np.append(f.scales, np.zeros(len(shape)))
-        p = np.append(f.p, shape)
-        for _ in range(AGAIN):
-            g = fit(channel, s, p, scales, noise=base.noise, iterations=20)
-            widths = range(max(int(shape[0] / NEAR), 2), int(shape[0] * NEAR) + 2)
-            best = min(widths, key=lambda w, g=g: _left(channel, g, effect, [float(w), *shape[1:]]))
-            if effect is ANEW or best == shape[0]:
+        scales, own = np.append(f.scales, np.zeros(len(shape))), len(f.p)
+
+        def ended(p: Array, s: Any = s, scales: Array = scales) -> Any:
+            return fit(channel, s, p, scales, noise=base.noise, iterations=20)
+
+        g = ended(np.append(f.p, shape))
+        for _ in range(AGAIN if effect is SLIDING else 0):
+            near = [ended(np.append(g.p[:own], [w, *shape[1:]])) for w in g.p[own] + NEAR if w >= 2.0]
+            closer = min(near, key=_squares)
+            if not _squares(closer) < _squares(g):
                 break
-            shape, p = [float(best), *shape[1:]], np.append(g.p[: len(f.p)], [best, *shape[1:]])
-        if firm(base, float(np.sum(g.residual**2))):
+            g = closer
+        if firm(base, _squares(g)):
             yield g
+
+
+def _squares(f: Any) -> float:
+    return float(np.sum(f.residual**2))
 
 
 def _windows(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
@@ -119,7 +125,7 @@ def _resets(channel: Any, base: Any, others: tuple[int, ...]) -> Iterator[Any]:
     clear = CLEAR_OF * 1.4826 * float(np.median(np.abs(steps)))
     for side in (1.0, -1.0):
         falls, rises = side * steps < -clear, side * steps > clear
-        every, place = _beat(falls) if BEATS <= falls.sum() < len(steps) // SHORTEST else (0, 0)
+        every, place = densest(falls) if BEATS <= falls.sum() < len(steps) // SHORTEST else (0, 0)
         if not every or np.sum(falls[place::every]) < MOSTLY * falls.sum():
             continue
         begins = (np.arange(len(steps)) - place) % every == 0

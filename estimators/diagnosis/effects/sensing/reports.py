@@ -40,7 +40,7 @@ def _reported(x: Array, p: Array, clock: Clock) -> Array:
     return reported(x, abs(float(p[0])), float(x[0] + p[-1]), beaten)
 
 
-def _beat(moved: NDArray[np.bool_]) -> tuple[int, int]:
+def densest(moved: NDArray[np.bool_]) -> tuple[int, int]:
     """Samples from one report to the next, and the place of the first, where reports are denser than elsewhere: (0, 0) where nowhere are."""
     best, n, share = (0.0, 0, 0), len(moved), float(np.mean(moved))
     for every in range(SHORTEST, n // BEATS + 1):
@@ -84,7 +84,7 @@ def _reports(channel: Any, base: Any, beaten: bool) -> Iterator[Any]:
     moved = steps > CLEAR_OF * 1.4826 * np.median(steps)
     if not (REPORTS <= moved.sum() <= (1.0 - STILL) * len(steps)):
         return
-    every, place = _beat(moved) if beaten else (0, 0)
+    every, place = densest(moved) if beaten else (0, 0)
     if beaten and not every:
         return
     # a change that is reported between the fixed times alone shows a least step: without any, the sensor is read anew every so often
